@@ -69,9 +69,7 @@ def check_number(
     name: str, value: object, *, low: float = -np.inf, high: float = np.inf
 ) -> float:
     """Return `value` as a finite float within [low, high], or explain."""
-    if isinstance(value, bool) or not isinstance(value, Real):
-        raise TypeError(f"{name} must be a number, got {type(value).__name__}.")
-    number = _as_float(value)
+    number = _as_float(name, value)
     if not (np.isfinite(number) and low <= number <= high):
         raise ValueError(
             f"{name} must be finite and between {low} and {high}, got {value}."
@@ -81,9 +79,7 @@ def check_number(
 
 def check_positive(name: str, value: object) -> float:
     """Return `value` as a float, or say what `name` should have been."""
-    if isinstance(value, bool) or not isinstance(value, Real):
-        raise TypeError(f"{name} must be a number, got {type(value).__name__}.")
-    number = _as_float(value)
+    number = _as_float(name, value)
     if not 0 < number < float("inf"):
         raise ValueError(f"{name} must be positive and finite, got {value}.")
     return number
@@ -100,8 +96,11 @@ def check_strangers(strangers: object) -> float:
     return share
 
 
-def _as_float(value: Any) -> float:
-    """Return a number as a float, infinite where none is as large."""
+def _as_float(name: str, value: Any) -> float:
+    """Return a number as a float, infinite where none is as large, or explain."""
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
+    if not is_number:
+        raise TypeError(f"{name} must be a number, got {type(value).__name__}.")
     try:
         return float(value)
     except OverflowError:
@@ -309,13 +308,21 @@ def as_groups(groups: ArrayLike | None, n_touches: int) -> Indices:
     if groups is None:
         return np.arange(n_touches)
     check_label_kinds(groups, "groups")
-    numbers = np.asarray(groups)
-    if numbers.shape != (n_touches,):
-        raise ValueError(
-            f"groups must have one entry per training touch ({n_touches}), "
-            f"got shape {numbers.shape}."
-        )
+    numbers = one_each("groups", groups, n_touches)
     return np.asarray(np.unique(numbers, return_inverse=True)[1])
+
+
+def one_each(
+    name: str, values: ArrayLike, n: int, things: str = "touches"
+) -> NDArray[Any]:
+    """Return values as an array (n,), one for each of some things, or explain."""
+    array = np.asarray(values)
+    if array.shape != (n,):
+        raise ValueError(
+            f"{name} must have one entry for each of {n} {things}, got shape "
+            f"{array.shape}."
+        )
+    return array
 
 
 def _label_kind(label: object) -> str:

@@ -33,7 +33,7 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
 
     `transform` is the door: it checks the images, then calls `transform_checked`. A
     subclass says there what it makes of them, checks its parameters and learns in
-    `_learn`, and says in `_checked` what images it takes if not finite ones.
+    `_learn`, and says in `_takes` which levels it takes if not finite ones.
 
     Attributes
     ----------
@@ -43,8 +43,9 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
 
     image_shape_: tuple[int, ...]
     _by_channel = True  # whether channels are transformed one by one
-    _allow_nan = False  # whether NaN, a dead taxel, is taken
-    _bounded = False  # whether sums must stay finite in single precision
+    # Which levels are taken: "any", "nan" beside finite ones (a dead taxel), "finite",
+    # or "bounded": those whose sums stay finite in single precision.
+    _takes = "finite"
 
     def __init_subclass__(cls, by_channel: bool = True, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -128,8 +129,9 @@ class ImageEstimator(TransformerMixin, BaseEstimator):
     def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
         """Return `X` as images that this takes, of `shape` if given, or explain."""
         images = check_image_shape(X, shape=shape, channels=True)
-        check_finite(images, allow_nan=self._allow_nan)
-        return check_levels(images) if self._bounded else images
+        if self._takes != "any":
+            check_finite(images, allow_nan=self._takes == "nan")
+        return check_levels(images) if self._takes == "bounded" else images
 
     def _images(self, X: ArrayLike) -> Array:
         """Return `X` as images of the size that `fit` saw, or explain."""

@@ -162,22 +162,14 @@ def _sent(
 def _n_threads(client: Any) -> int:
     """Return how many threads the workers have; wait for the first one, or give up."""
     begun = time.monotonic()
-    while time.monotonic() - begun < LONGEST_ABSENCE_S:
-        if client.status == "closed":
-            break
-        if n_threads := _threads_now(client):
-            return n_threads
+    while time.monotonic() - begun < LONGEST_ABSENCE_S and client.status != "closed":
+        with suppress(OSError):  # the scheduler is away
+            running = client.status == "running"
+            n_threads: int = sum(client.nthreads().values()) if running else 0
+            if n_threads:
+                return n_threads
         time.sleep(_ASKED_EACH_S)
     raise _cluster_lost(client, "has had no worker")
-
-
-def _threads_now(client: Any) -> int:
-    """Return how many threads the workers have, 0 where the scheduler is away."""
-    if client.status != "running":
-        return 0
-    with suppress(OSError):
-        return sum(client.nthreads().values())
-    return 0
 
 
 def _result(client: Any, future: Any) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ._checks import check_option
 from ._extras import needed
-from ._types import Array, Indices
+from ._types import Indices
 from .touches import Touches, TouchSource
 
 __all__ = ["TouchDataset"]
@@ -102,20 +102,16 @@ class TouchDataset:
         if ((wanted < -n_touches) | (wanted >= n_touches)).any():
             raise IndexError(f"rows must be below {n_touches}, got {wanted.tolist()}.")
         rising, places = np.unique(wanted % n_touches, return_inverse=True)
-        images = self._tensors(self._images(rising))
+        if isinstance(self._touches, Touches):
+            images = self._touches.images[rising]
+        else:
+            images = self._touches.touches(rising).images
+        planes = images[:, None] if images.ndim == 3 else np.moveaxis(images, 3, 1)
+        torch = needed("torch", "cnn", "A dataset for PyTorch")
+        tensors = torch.from_numpy(np.array(planes, dtype=np.float32, order="C"))
+        if self.transform is not None:
+            tensors = [self.transform(tensor) for tensor in tensors]
         return [
-            (images[place], int(self.targets[rising[place]]))
+            (tensors[place], int(self.targets[rising[place]]))
             for place in places.tolist()
         ]
-
-    def _images(self, rows: Indices) -> Array:
-        if isinstance(self._touches, Touches):
-            return self._touches.images[rows]
-        return self._touches.touches(rows).images
-
-    def _tensors(self, images: Array) -> list[Any]:
-        torch = needed("torch", "cnn", "A dataset for PyTorch")
-        planes = images[:, None] if images.ndim == 3 else np.moveaxis(images, 3, 1)
-        tensors = torch.from_numpy(np.array(planes, dtype=np.float32, order="C"))
-        change = self.transform
-        return list(tensors) if change is None else [change(t) for t in tensors]

@@ -169,8 +169,3 @@ def test_equal_touches_do_not_break_the_scale():
     model = OnePerLabelSVC().fit(np.ones((4, 2)), [0, 0, 1, 1])
     assert model.gamma_ == 1.0
     assert np.isfinite(model.decision_values([[1, 1]])).all()
-
-
-def test_one_label_is_refused():
-    with pytest.raises(ValueError, match="at least two labels, got 1 class"):
-        OnePerLabelSVC().fit([[0.0], [1.0]], ["edge", "edge"])

@@ -175,7 +175,7 @@ def test_classifiers_without_probabilities_are_refused():
 
 @each_classifier
 def test_groups_of_other_touches_are_refused(classifier, separate):
-    with pytest.raises(ValueError, match=r"one entry per training touch \(60\)"):
+    with pytest.raises(ValueError, match="one entry for each of 60 touches"):
         classifier.fit(*separate[:2], groups=[1, 2])
     with pytest.raises(TypeError, match="groups must hold labels of one kind, got Non"):
         classifier.fit(*separate[:2], groups=[None, *["monday"] * 59])
@@ -274,6 +274,6 @@ def test_a_fit_of_one_label_leaves_a_classifier_as_it_was(kind, rng):
     touches, labels = rng.normal(size=(12, 3)), ["mug", "pen"] * 6
     learnt = kind().fit(touches, labels)
     before = learnt.predict(touches).tolist()
-    with pytest.raises(ValueError, match="at least two"):
+    with pytest.raises(ValueError, match="at least two labels, got 1 class: mug"):
         learnt.fit(touches, ["mug"] * 12)
     assert learnt.predict(touches).tolist() == before

@@ -202,7 +202,7 @@ def test_damaged_files_are_refused(change, message, tmp_path):
 @pytest.mark.parametrize(
     ("params", "loads", "message"),
     [
-        ({}, [1.0, 2.0], "one load per frame"),
+        ({}, [1.0, 2.0], "one entry for each of 3 frames"),
         ({}, [1.0, 2.0, -3.0], "at least 0"),
         ({}, [1.0, 2.0, np.nan], "finite"),
         ({}, [1.0, 1.0, 2.0], "three different loads, got 2"),

@@ -140,14 +140,6 @@ def test_turned_touch_gives_a_turned_disc(rng):
     assert np.sqrt(np.mean((discs[1] - np.rot90(discs[0])) ** 2)) < 0.3
 
 
-def test_touch_alone_equals_the_same_touch_among_others(rng):
-    images = domes(rng)
-    crop = DomeCrop().fit(images)
-    together = crop.transform(images)
-    alone = np.concatenate([crop.transform(image[np.newaxis]) for image in images])
-    np.testing.assert_array_equal(together, alone)
-
-
 def test_safe_disc_stays_in_rim_and_frame(rng):
     images = domes(rng)
     crop = DomeCrop(margin=0.0).fit(images)

@@ -203,14 +203,16 @@ def test_labels_images_and_angles_that_do_not_fit_are_refused(fitted, drawn):
         PressPose().estimate(images, labels)
     with pytest.raises(ValueError, match="labels seen by fit, got 'nut'"):
         fitted.estimate(images[:1], ["nut"])
-    with pytest.raises(ValueError, match="one label per press"):
+    with pytest.raises(ValueError, match="one entry for each of"):
         fitted.estimate(images, labels[:3])
     with pytest.raises(ValueError, match="fitted on 10 x 10"):
         fitted.estimate(images[:, :8], labels)
     with pytest.raises(TypeError, match="y must hold labels of one kind, got numbers"):
         PressPose().fit(images[:2], [1, "bar"])
-    with pytest.raises(ValueError, match="angle_deg must be finite"):
+    with pytest.raises(ValueError, match="angle_deg must have one entry for each of"):
         PressPose().fit(images, labels, truth[:3, 2])
+    with pytest.raises(ValueError, match="angle_deg must be finite"):
+        PressPose().fit(images, labels, np.full(len(images), np.nan))
 
 
 @pytest.mark.slow

@@ -143,7 +143,7 @@ def test_a_floor_of_a_sense_is_at_most_a_half(floor):
     [
         (["a"] * 4, "must hold at least two labels of two examples each"),
         (["a", "a", "a", "b"], "must hold at least two labels of two examples each"),
-        (["a", "b"], "must have one label for each of 4 examples"),
+        (["a", "b"], "must have one entry for each of 4 examples"),
         ([1.0, 1.0, np.nan, np.nan], "contains NaN"),
         (["a", "a", None, None], "must hold labels of one kind"),
     ],

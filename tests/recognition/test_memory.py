@@ -557,7 +557,7 @@ def test_objects_of_a_category_are_left_out_whole_whenever_they_are_learnt(chang
     ("labels", "error", "message"),
     [
         (None, TypeError, "must be Touches, got ndarray without labels"),
-        (["a", "b"], ValueError, "one label for each of 3 touches, got shape"),
+        (["a", "b"], ValueError, "one entry for each of 3 touches, got shape"),
         (["a", "a", "a"], ValueError, "at least two object labels, got only 'a'"),
         (["a", "a", "b"], ValueError, "at least 2 touches, got 1 of 'b'"),
         (["b", "b", "a"], ValueError, "at least 2 touches, got 1 of 'a'"),

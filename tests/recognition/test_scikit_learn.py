@@ -160,7 +160,7 @@ def test_groups_are_left_out_together(images_and_labels):
 
 def test_bad_input_is_refused(images_and_labels):
     images, labels = images_and_labels
-    with pytest.raises(ValueError, match="one entry per training touch"):
+    with pytest.raises(ValueError, match="one entry for each of"):
         ObjectRecogniser().fit(images, labels, groups=[1, 2])
     with pytest.raises(ValueError, match="y must have no masked labels, got 16"):
         ObjectRecogniser().fit(images, np.ma.masked_equal(labels, "mug"))

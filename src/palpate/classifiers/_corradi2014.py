@@ -17,13 +17,12 @@ from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.metrics.pairwise import pairwise_kernels
 from sklearn.svm import SVC
-from sklearn.utils.validation import check_is_fitted
 
 from .._checks import check_option, check_positive, check_squarable
 from .._numbers import exp
 from .._types import Array, Floats
 from ._kernel_sums import blocks_of, learn_whitening, whiten
-from ._touch_classifier import BayesRule, as_touches, labelled_touches
+from ._touch_classifier import BayesRule, as_touches, classes_of, labelled_touches
 
 # Interquartile range of a Gaussian, in standard deviations.
 GAUSSIAN_IQR = 1.349
@@ -131,7 +130,6 @@ class KernelDensityNaiveBayes(BayesRule):
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | label) in nats, shape (n_touches, n_labels)."""
-        check_is_fitted(self)
         x = self._standardise(as_touches(self, X))
         constant = -self.log_volume_ - x.shape[1] * np.log(2 * np.pi) / 2
         widths = np.log(self.bandwidths_).sum(axis=1)
@@ -255,14 +253,8 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
             check_positive("gamma", self.gamma)
         touches, labels = labelled_touches(self, X, y)
         check_squarable(touches)
-        classes, codes = np.unique(labels, return_inverse=True)
-        n_labels = len(classes)
-        if n_labels < 2:
-            raise ValueError(
-                f"y must have at least two labels, got {n_labels} class. "
-                "Add touches of another label."
-            )
-        self.classes_ = classes
+        self.classes_, codes = classes_of(labels)
+        n_labels = len(self.classes_)
         if isinstance(self.gamma, str):
             variance = float(touches.var()) if self.gamma == "scale" else 1.0
             unit = touches.shape[1] * variance if variance > 0 else 1.0
@@ -283,7 +275,6 @@ class OnePerLabelSVC(ClassifierMixin, BaseEstimator):
 
     def decision_values(self, X: ArrayLike) -> Floats:
         """Return what each machine says, (n_touches, n_labels); positive is "mine"."""
-        check_is_fitted(self)
         kernel = pairwise_kernels(
             as_touches(self, X),
             self.support_touches_,

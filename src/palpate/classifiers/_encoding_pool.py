@@ -25,7 +25,7 @@ from .._numbers import log_loss, log_softmax, without_gaps
 from .._types import Array, Floats, Indices
 from . import _touch_classifier
 from ._kernel_ridge import KernelRidgeClassifier
-from ._matrix_scaling import Scaling, learn_scaling, scaled, scaling_with
+from ._matrix_scaling import learn_scaling, scaled, scaling_with
 from ._nearby import NearbyTouches
 from ._ridge import fair_shares
 from ._touch_classifier import BayesRule, Groups, TouchClassifier, labelled_touches
@@ -88,14 +88,13 @@ class RehearsedMachine(BayesRule):
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats)."""
-        return self.log_likelihood_checked(np.asarray(X, dtype=np.float64))
-
-    def log_likelihood_checked(self, touches: Floats) -> Floats:
-        """Do what `log_likelihood` does."""
+        touches = np.asarray(X, dtype=np.float64)
         rehearsed = self.rehearsed.log_likelihood_checked(touches @ self.weighing)
         if self.share == 1:
             return rehearsed
         return self._both(self.plain.log_likelihood_checked(touches), rehearsed)
+
+    log_likelihood_checked = log_likelihood  # type: ignore[assignment]
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches, their groups left out."""
@@ -223,10 +222,7 @@ class EncodingPool(BayesRule):
         sampled = np.sort(np.argsort(codes, kind="stable")[::step])
         weights = self.best_weights(posteriors[:, sampled], codes[sampled])
         self.weights_ = dict(zip(self.machines_, weights.tolist(), strict=True))
-        together = self._summed(posteriors)
-        return self._corrected_by(learn_scaling(together, codes, groups))
-
-    def _corrected_by(self, scaling: Scaling) -> Self:
+        scaling = learn_scaling(self._summed(posteriors), codes, groups)
         self.scaling_, self.penalty_, self.left_out_ = scaling
         return self
 
@@ -298,7 +294,6 @@ class EncodingPool(BayesRule):
         `keep_shape` of `KernelRidgeClassifier.refit`, which also keeps the scaling of
         the same labels.
         """
-        check_is_fitted(self)
         touches, labels = labelled_touches(self, X, y, reset=False)
         check_squarable(touches)
         # Machines of the user's may take neither.
@@ -316,12 +311,11 @@ class EncodingPool(BayesRule):
         if keep_shape and np.array_equal(before, self.classes_):
             self.left_out_ = self.pooled(posteriors)
             return self
-        together = self._summed(posteriors)
-        if self.penalty_ is None:
-            return self._corrected_by(Scaling(None, None, log_softmax(together)))
         rows, group = self.left_out_rows, as_groups(groups, len(touches))
-        taught = together, codes[rows], group[rows]
-        return self._corrected_by(scaling_with(self.penalty_, *taught, self.scaling_))
+        taught = self._summed(posteriors), codes[rows], group[rows]
+        scaling = scaling_with(self.penalty_, *taught, self.scaling_)
+        self.scaling_, self.penalty_, self.left_out_ = scaling
+        return self
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) up to a constant per touch (nats).
@@ -335,8 +329,6 @@ class EncodingPool(BayesRule):
 
         In the order of `machines_`; zeros for those that weigh nothing.
         """
-        if not hasattr(self, "machines_"):
-            check_is_fitted(self)
         touches = check_squarable(_touch_classifier.as_touches(self, X))
         shape = len(self.machines_), len(touches), len(self.classes_)
         log_likelihood, weighing = np.zeros(shape), []

@@ -182,14 +182,12 @@ class KernelDensityBayes(BayesRule):
         so objects are learnt and forgotten one by one. Parameters and errors as of
         `fit`.
         """
-        check_is_fitted(self)
         touches, labels = labelled_touches(self, X, y, reset=False)
         self._learn(touches, labels, groups)
         return self
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return log p(touch | object) in nats, shape (n_touches, n_objects)."""
-        check_is_fitted(self)
         x = self._whiten(as_touches(self, X))
         return np.vstack([self._log_densities(x[rows]) for rows in blocks_of(len(x))])
 

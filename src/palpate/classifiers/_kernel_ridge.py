@@ -43,6 +43,7 @@ from ._touch_classifier import (
     BayesRule,
     Groups,
     as_touches,
+    classes_of,
     labelled_touches,
     rows_left_out,
 )
@@ -137,6 +138,9 @@ class KernelRidgeClassifier(BayesRule):
     lean_: float
     sums_: Sums
     takes_weights = True
+    # What makes learning more of it quick: of all touches, or of landmarks.
+    _inverse: GrowingInverse | None = None
+    _summed: LandmarkRegression | None = None
 
     def __init__(
         self,
@@ -175,8 +179,7 @@ class KernelRidgeClassifier(BayesRule):
         """
         touches, codes, group = self._validated_input(X, y, groups)
         self._choose(touches, codes, group)
-        self._inverse: GrowingInverse | None = None
-        self._summed: LandmarkRegression | None = None
+        self._inverse = self._summed = None
         self._learn(touches, codes, group, np.ones(len(touches)))
         return self
 
@@ -185,11 +188,7 @@ class KernelRidgeClassifier(BayesRule):
     ) -> tuple[Floats, Array, Array]:
         touches, labels = labelled_touches(self, X, y, reset=reset)
         check_squarable(touches)
-        classes, codes = np.unique(labels, return_inverse=True)
-        if reset and len(classes) < 2:
-            raise ValueError(
-                f"y must hold at least two labels, got 1 class: {classes[0]}."
-            )
+        classes, codes = classes_of(labels, least=2 if reset else 1)
         group = as_groups(groups, len(touches))
         self.classes_ = classes
         return touches, codes, group
@@ -302,8 +301,7 @@ class KernelRidgeClassifier(BayesRule):
         """Let some touches stand for all; return left-out scores of some."""
         self._inverse = None
         taught = touches, codes, self.classes_
-        before: LandmarkRegression | None = self.__dict__.get("_summed")
-        summed = before and before.again(taught)
+        summed = self._summed and self._summed.again(taught)
         if summed is None:
             n_landmarks = check_count("n_landmarks", self.n_landmarks, at_least=2)
             self.mean_ = touches.mean(axis=0)
@@ -318,7 +316,7 @@ class KernelRidgeClassifier(BayesRule):
         self, touches: Floats, codes: Array, ridges: Floats
     ) -> GrowingInverse | None:
         """Return the inverse with a few touches more than it has, None of others."""
-        inverse: GrowingInverse | None = self.__dict__.get("_inverse")
+        inverse = self._inverse
         if inverse is None or len(touches) > (1 + GROWTH) * inverse.n_first:
             return None
         centred, labels = touches - self.mean_, self.classes_[codes]
@@ -353,10 +351,7 @@ class KernelRidgeClassifier(BayesRule):
         return log_softmax(self._bent_scores(X))
 
     def _bent_scores(self, X: ArrayLike) -> Floats:
-        if not hasattr(self, "coefficients_"):  # the check itself takes a while
-            check_is_fitted(self)
-        touches = check_squarable(as_touches(self, X))
-        return self.log_likelihood_checked(touches)
+        return self.log_likelihood_checked(check_squarable(as_touches(self, X)))
 
     def log_likelihood_checked(self, touches: Floats) -> Floats:
         """Do what `log_likelihood` does, but for a constant of each touch."""
@@ -382,12 +377,11 @@ class KernelRidgeClassifier(BayesRule):
 
     def stored(self) -> Self:
         """Return what a model file holds: of landmarks, also sums that touches join."""
-        summed: LandmarkRegression | None = self.__dict__.get("_summed")
-        if summed is None:
+        if self._summed is None:
             return self
         other = copy(self)
         other.left_out_scores_ = self.left_out_scores_.astype(np.float32)
-        other.sums_ = summed.sums()
+        other.sums_ = self._summed.sums()
         return other
 
     def resume(self, X: ArrayLike, y: ArrayLike) -> None:
@@ -406,8 +400,7 @@ class KernelRidgeClassifier(BayesRule):
         self._summed = self._regression().resumed(sums, dtype, taught)
 
     def _regression(self) -> LandmarkRegression:
-        squares = np.einsum("ij,ij->i", self.touches_, self.touches_)
-        landmarks = Landmarks(self.touches_, squares, self.width_ / self.unit_)
+        landmarks = Landmarks(self.touches_, self.width_ / self.unit_)
         return LandmarkRegression(landmarks, self.mean_, self.ridge_)
 
     def refit(
@@ -424,7 +417,6 @@ class KernelRidgeClassifier(BayesRule):
         its ridge; touches that are learnt by landmarks all count 1. With `keep_shape`
         temperature, bend and lean of the posterior stay too: quicker, for a few more.
         """
-        check_is_fitted(self)
         touches, codes, group = self._validated_input(X, y, groups, reset=False)
         each = np.ones(len(touches)) if weights is None else weights
         self._learn(touches, codes, group, each, keep_shape)
@@ -436,7 +428,7 @@ class KernelRidgeClassifier(BayesRule):
         return again
 
     def __getstate__(self) -> dict[str, Any]:
-        # What makes learning more of it quick is larger than all the rest.
+        # These are larger than all the rest.
         state = super().__getstate__().items()
         return {k: v for k, v in state if k not in ("_inverse", "_summed")}
 

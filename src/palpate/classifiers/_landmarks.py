@@ -28,7 +28,7 @@ from scipy.linalg.blas import dsyrk
 from .._numbers import exp
 from .._parallel import results_of
 from .._types import Array, Floats, Indices
-from ._ridge import GROWTH, group_members
+from ._ridge import GROWTH, group_members, squared_distances_to
 
 # Touches whose kernel with the landmarks is in memory at once, and in one task.
 TOUCHES_AT_ONCE, TOUCHES_A_TASK = 2000, 20_000
@@ -53,29 +53,20 @@ Taught = tuple[Floats, Indices, Array]
 class Landmarks:
     """Some training touches, less the mean, that stand for all; and the kernel.
 
-    `marks` (n_marks, n_features), their `squares` (n_marks,), and the factor `rate` on
-    squared distances in the exponent.
+    `marks` (n_marks, n_features), and the factor `rate` on squared distances in the
+    exponent.
     """
 
     marks: Floats
-    squares: Floats
     rate: float
 
     def kernel(self, centred: Floats) -> Floats:
         """Return the kernel (n_touches, n_marks) of touches (n_touches, n_features)."""
-        squared = centred @ (-2 * self.marks.T)
-        squared += np.einsum("ij,ij->i", centred, centred)[:, np.newaxis]
-        squared += self.squares
-        np.maximum(squared, 0, out=squared)
+        squares = np.einsum("ij,ij->i", self.marks, self.marks)
+        squared = squared_distances_to(self.marks, squares, centred)
         squared *= -self.rate
         np.maximum(squared, _LEAST_EXPONENT, out=squared)
         return exp(squared, out=squared)
-
-    def root(self) -> Floats:
-        """Return the lower triangular root of the landmarks' own kernel."""
-        gram = self.kernel(self.marks)
-        gram.flat[:: len(gram) + 1] += _JITTER
-        return np.asarray(cholesky(gram, lower=True))
 
 
 class LandmarkRegression:
@@ -90,7 +81,9 @@ class LandmarkRegression:
 
     def __init__(self, landmarks: Landmarks, mean: Floats, ridge: float) -> None:
         self._landmarks, self._mean, self._ridge = landmarks, mean, ridge
-        self._root = landmarks.root()
+        gram = landmarks.kernel(landmarks.marks)
+        gram.flat[:: len(gram) + 1] += _JITTER
+        self._root = cholesky(gram, lower=True)
 
     def learn(self, taught: Taught) -> Self:
         """Learn touches in tasks of blocks, wherever `joblib.parallel_config` says."""

@@ -84,13 +84,11 @@ def learn_scaling(log_posterior: Floats, codes: Indices, groups: Array) -> Scali
             loss, chosen = corrected, penalty
         elif gained.mean() < -error:
             break
-    if chosen is None:
-        return Scaling(None, None, log_softmax(log_posterior))
     return scaling_with(chosen, log_posterior, codes, groups)
 
 
 def scaling_with(
-    penalty: float,
+    penalty: float | None,
     log_posterior: Floats,
     codes: Indices,
     groups: Array,
@@ -98,13 +96,17 @@ def scaling_with(
 ) -> Scaling:
     """Learn with a penalty that was chosen, perhaps from a matrix as it was `before`.
 
-    Of touches as `learn_scaling` takes them; of too few there is no matrix.
+    Of touches as `learn_scaling` takes them; of too few, or where None was chosen,
+    there is no matrix.
     """
+    as_it_is = Scaling(None, penalty, log_softmax(log_posterior))
+    if penalty is None:
+        return as_it_is
     centred = _centred(log_posterior)
     sampled = _sampled(codes, centred.shape[1])
     runs = _runs(codes, groups, _N_LEFT_OUT)
     if not (len(sampled) and runs.any()):
-        return Scaling(None, penalty, log_softmax(log_posterior))
+        return as_it_is
     start = None
     if before is not None and before.shape[1] == centred.shape[1]:
         start = _factors_of(before)

@@ -21,7 +21,7 @@ from .._checks import as_groups, check_squarable
 from .._numbers import exp, log_softmax
 from .._types import Bools, Floats, Indices, Singles
 from ._kernel_ridge import KernelRidgeClassifier
-from ._ridge import best_shape
+from ._ridge import USUAL_SHAPE, best_shape, squared_distances_to
 from ._touch_classifier import (
     BayesRule,
     Groups,
@@ -142,7 +142,7 @@ class NearbyTouches(BayesRule):
         if codes is not None:
             is_own = lists == codes[:, np.newaxis]
             is_listed = is_own.any(axis=1)
-            self.bent_ = 8.0, 0.5
+            self.bent_ = USUAL_SHAPE[:2]
             if is_listed.any():
                 counts = np.ones(lists.shape[1], dtype=np.intp)
                 at = is_own[is_listed].argmax(axis=1)
@@ -196,7 +196,6 @@ class NearbyTouches(BayesRule):
 
     def refit(self, X: ArrayLike, y: ArrayLike, groups: Groups = None) -> Self:
         """Store other touches, with the width and temperature already chosen."""
-        check_is_fitted(self)
         queries, group, _ = self._stored(X, y, groups, reset=False)
         densities = self._densities(queries, self.width_, group)
         self._learn_list(queries, group, densities)
@@ -228,10 +227,7 @@ class NearbyTouches(BayesRule):
         for k in range(0, len(queries), at_once):
             rows = slice(k, k + at_once)
             centred = queries[rows]
-            squared: Singles = (-2 * centred) @ self.touches_.T
-            squared += np.einsum("ij,ij->i", centred, centred)[:, np.newaxis]
-            squared += self.squares_
-            np.maximum(squared, 0, out=squared)
+            squared = squared_distances_to(self.touches_, self.squares_, centred)
             yield squared, group and group[0][rows, np.newaxis] == group[1]
 
     def _densities(
@@ -267,8 +263,6 @@ class NearbyTouches(BayesRule):
 
         Shape (n_touches, n_classes).
         """
-        if not hasattr(self, "touches_"):
-            check_is_fitted(self)
         touches = check_squarable(as_touches(self, X)) - self.mean_
         centred = touches.astype(np.float32)
         densities = self._densities(centred, self.width_)

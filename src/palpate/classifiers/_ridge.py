@@ -163,6 +163,15 @@ class GrowingInverse:
         return result
 
 
+def squared_distances_to(touches: Array, squares: Array, centred: Array) -> Array:
+    """Return those to touches of known squared length, (n_centred, n_touches)."""
+    squared: Array = (-2 * centred) @ touches.T
+    squared += np.einsum("ij,ij->i", centred, centred)[:, np.newaxis]
+    squared += squares
+    np.maximum(squared, 0, out=squared)
+    return squared
+
+
 def squared_distances(touches: Floats) -> Floats:
     """Return those between touches, made in one piece of memory."""
     squared = touches @ touches.T

@@ -247,8 +247,8 @@ class FromProbabilities(BayesRule):
 
     def log_likelihood(self, X: ArrayLike) -> Floats:
         """Return the logarithm of `predict_proba`, (n_touches, n_objects)."""
-        check_is_fitted(self)
-        return _log_probability(self.classifier_, as_touches(self, X))
+        touches = as_touches(self, X)
+        return _log_probability(self.classifier_, touches)
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches with their folds left out."""
@@ -282,26 +282,43 @@ def labelled_touches(
 ) -> tuple[Floats, Array]:
     """Return `X` as touches and `y` as labels, or raise as `validate_data` does.
 
-    Not `reset`, the touches must be like those of `fit`.
+    Not `reset`, the touches must be like those of `fit`, which was called.
     """
+    if not reset:
+        check_is_fitted(estimator)
     check_label_kinds(y)
-    plain = not reset and _is_as_in_fit(estimator, X) and _is_plain_labels(y)
-    if plain and np.shape(X)[0] == np.shape(y)[0]:
-        return np.asarray(X), np.asarray(y)
+    if (
+        not reset
+        and _is_as_in_fit(estimator, X)
+        and type(y) is np.ndarray
+        and y.dtype.kind in PLAIN_LABELS
+        and y.shape == np.shape(X)[:1]
+    ):
+        return np.asarray(X), y
     touches, labels = validate_data(estimator, X, y, dtype=np.float64, reset=reset)
     check_targets(labels)
     return touches, labels
 
 
-def _is_plain_labels(y: object) -> TypeGuard[Array]:
-    """Whether labels are classes in one plain array."""
-    return type(y) is np.ndarray and y.ndim == 1 and y.dtype.kind in PLAIN_LABELS
+def classes_of(labels: Array, *, least: int = 2) -> tuple[Array, Indices]:
+    """Return the labels that occur, sorted, and the place of each touch's among them.
+
+    A label alone is refused, unless `least` is 1.
+    """
+    classes, codes = np.unique(labels, return_inverse=True)
+    if len(classes) < least:
+        raise ValueError(
+            f"y must hold at least two labels, got 1 class: {classes[0]}. Add touches "
+            "of another."
+        )
+    return classes, codes
 
 
 def as_touches(estimator: BaseEstimator, X: ArrayLike) -> Floats:
-    """Return `X` (n_touches, n_features) as in `fit`, or raise as `validate_data`."""
+    """Return `X` as in `fit`, which was called, or raise as `validate_data` does."""
     if _is_as_in_fit(estimator, X):
         return np.asarray(X)
+    check_is_fitted(estimator)
     return np.asarray(validate_data(estimator, X, dtype=np.float64, reset=False))
 
 

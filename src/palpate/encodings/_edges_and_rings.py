@@ -37,13 +37,10 @@ class CanvasEncoder(ImageEstimator):
     """
 
     _most, _multiple = 64, 1
-    _bounded = True
+    _takes = "bounded"
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
-        return self._vectors(images)
-
-    def _vectors(self, images: Array) -> Floats:
         shape = images.shape[1:]
         short = min(shape)
         scale = min(max(short, 32), self._most) / short / self._multiple
@@ -201,7 +198,7 @@ class RingPatterns(CanvasEncoder):
 
     def _learn(self, images: Array) -> Floats:
         check_count("n_rings", self.n_rings, at_most=_MOST_RINGS)
-        check_number("n_points", check_count("n_points", self.n_points), low=4, high=32)
+        check_count("n_points", self.n_points, at_least=4, at_most=32)
         radii = np.atleast_1d(self.radii).tolist()
         if not radii:
             raise ValueError("radii must hold at least one radius, got none.")
@@ -209,12 +206,11 @@ class RingPatterns(CanvasEncoder):
             check_number("radii", radius, low=0, high=25)
         check_number("contrast", self.contrast, low=0)
         n_unsteady = check_count("n_unsteady", self.n_unsteady, at_least=0)
-        shares = self._vectors(images)
+        shares = super().transform_checked(images)
         rows = evenly_spaced(len(images), _MOVED)
         part, still = images[rows].astype(np.float32), shares[rows]
-        changes = np.concatenate(
-            [self._vectors(_moved(part, *step)) - still for step in _STEPS]
-        )
+        moved = np.concatenate([_moved(part, *step) for step in _STEPS])
+        changes = super().transform_checked(moved) - np.tile(still, (len(_STEPS), 1))
         # Flat images change nowhere; their directions would be chance.
         strong = np.linalg.svd(changes, full_matrices=False)[2] * changes.any()
         self.unsteady_ = strong[:n_unsteady]
@@ -222,7 +218,7 @@ class RingPatterns(CanvasEncoder):
 
     def transform_checked(self, images: Array) -> Floats:
         """Return the features, shape (n_touches, n_features)."""
-        return self._steady(self._vectors(images))
+        return self._steady(super().transform_checked(images))
 
     def _steady(self, shares: Floats) -> Floats:
         return np.asarray(shares - shares @ self.unsteady_.T @ self.unsteady_)

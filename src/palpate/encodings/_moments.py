@@ -232,11 +232,7 @@ class HuMoments(ImageEstimator):
         return frozenset({"shifts"} | turns | gain)
 
     def _learn(self, images: Array) -> None:
-        if check_count("n_components", self.n_components) > N_MOMENTS:
-            raise ValueError(
-                f"n_components must be at most 7, got {self.n_components}. "
-                "There are seven Hu moments."
-            )
+        check_count("n_components", self.n_components, at_most=N_MOMENTS)
         check_option("region", self.region, ("disc", "frame"))
         check_option("levels", self.levels, ("above-least", "raw"))
 
@@ -326,7 +322,7 @@ class PadShapes(ImageEstimator):
     (2, 41)
     """
 
-    _allow_nan = True
+    _takes = "nan"
 
     def __init__(self, pads: ArrayLike | None = None) -> None:
         self.pads = pads

@@ -13,7 +13,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from .._checks import check_count, check_image_shape, check_option
+from .._checks import check_count, check_option
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 from . import _principal
@@ -181,6 +181,8 @@ class EncodingUnion(ImageEstimator, by_channel=False):
     (1, 7)
     """
 
+    _takes = "any"  # which levels are too large, each encoder says itself
+
     def __init__(self, encoders: Sequence[Any], balanced: bool = False) -> None:
         self.encoders = encoders
         self.balanced = balanced
@@ -227,10 +229,6 @@ class EncodingUnion(ImageEstimator, by_channel=False):
 
     def _joined(self, parts: list[Array]) -> Floats:
         return np.hstack([*map(RootScaler.scale, self.scalers_, parts)] or parts)
-
-    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-        # Which levels are too large, each encoder says itself.
-        return check_image_shape(X, shape=shape, channels=True)
 
     def _images(self, X: ArrayLike) -> Array:
         images = super()._images(X)

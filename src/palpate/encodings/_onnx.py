@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
+from .._checks import check_option
 from .._extras import needed
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats, Singles
@@ -37,10 +38,6 @@ _RANDOM = ("Bernoulli", "Multinomial", "Random")
 AT_ONCE, MOST_SECONDS = 32, 20.0
 # Rounding differs between one image and several; more than this is no rounding.
 _ROUNDING = 1e-3
-
-
-class OnnxError(ValueError):
-    """An ONNX file that is no network of images, or asks for more than one needs."""
 
 
 class OnnxEncoding(ImageEstimator, by_channel=False):
@@ -113,7 +110,7 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
         ]
         vectors = np.concatenate(parts) if parts else np.empty((0, self.width_))
         if vectors.shape[1] != self.width_:
-            raise OnnxError(
+            raise ValueError(
                 f"The network must give {self.width_} numbers for each image, as when "
                 f"it was learnt, got {vectors.shape[1]}. Export it for images of one "
                 "size."
@@ -126,13 +123,13 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
         together = self._vectors(pair, most_seconds=MOST_SECONDS)
         alone = np.concatenate([self._vectors(image[np.newaxis]) for image in pair])
         if together.shape[1] > MAX_WIDTH:
-            raise OnnxError(
+            raise ValueError(
                 f"The network must give at most {MAX_WIDTH} numbers for each image, "
                 f"got {together.shape[1]}. Name a later layer as its output."
             )
         difference = np.abs(together - alone).max()
         if difference > _ROUNDING * max(1.0, float(np.abs(together).max())):
-            raise OnnxError(
+            raise ValueError(
                 "network must give an image the same features whatever else is in the "
                 "batch, got different ones. Export it in evaluation mode "
                 "(torch: network.eval())."
@@ -152,7 +149,7 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
         try:
             (vectors,) = session.run([output], {taken.name: prepared}, options)
         except Exception as error:
-            raise OnnxError(
+            raise ValueError(
                 f"The network cannot encode images of {prepared.shape[2]} x "
                 f"{prepared.shape[3]}: {_first_line(error)}. Export it anew for "
                 "images of this size, or of any."
@@ -168,7 +165,7 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
         n_channels, n_rows, n_cols = shape[1:]
         if scaled.shape[3] != n_channels:
             if n_channels == 3 and scaled.shape[3] != 1:
-                raise OnnxError(
+                raise ValueError(
                     "The network takes 3 channels, got images of "
                     f"{scaled.shape[3]}. Use a network of 1 channel, which gets their "
                     "mean."
@@ -186,12 +183,7 @@ class OnnxEncoding(ImageEstimator, by_channel=False):
     def _output(self, session: Any) -> str:
         names = [node.name for node in session.get_outputs()]
         name = names[0] if self.output is None and len(names) == 1 else self.output
-        if name not in names:
-            raise OnnxError(
-                f"output must be one of the network's, {', '.join(map(repr, names))}, "
-                f"got {name!r}."
-            )
-        return str(name)
+        return str(check_option("output", name, names))
 
     def _ready(self) -> Any:
         """Return the network, ready to run."""
@@ -222,16 +214,16 @@ def checked_network(content: bytes) -> bytes:
     try:
         model = onnx.load_model_from_string(content)
         if not model.graph.node:
-            raise OnnxError("network is no ONNX file, or damaged: it has no operators.")
+            raise ValueError("network is no ONNX file, or damaged: no operators.")
         _check_operators(model, onnx)
         # What this reader does not know is not left for the runtime to find.
         model.DiscardUnknownFields()
         del model.metadata_props[:]
         return bytes(model.SerializeToString())
-    except OnnxError:
-        raise
     except Exception as error:
-        raise OnnxError(f"network is no ONNX file, or damaged: {error}.") from error
+        if type(error) is ValueError:
+            raise
+        raise ValueError(f"network is no ONNX file, or damaged: {error}.") from error
 
 
 def _check_operators(model: Any, onnx: Any) -> None:
@@ -239,24 +231,24 @@ def _check_operators(model: Any, onnx: Any) -> None:
     opsets = {opset.domain: opset.version for opset in model.opset_import}
     domains = {*opsets, *(node.domain for node in model.graph.node)}
     if odd := sorted(domains.difference(_STANDARD)):
-        raise OnnxError(
+        raise ValueError(
             f"network must use the standard operators of ONNX alone, got {odd[0]!r}. "
             "Export it without custom operators."
         )
     if model.functions:
-        raise OnnxError(
+        raise ValueError(
             "network must hold no functions of its own, got "
             f"{model.functions[0].name!r}. Export it with its functions inlined "
             "(onnx.inliner.inline_local_functions)."
         )
     version = max(opsets.values(), default=0)
     if version not in OPSETS:
-        raise OnnxError(
+        raise ValueError(
             f"network must use operators of version {OPSETS[0]} to {OPSETS[-1]}, got "
             f"{version}. Export it with opset_version=17."
         )
     if len(model.graph.node) > MAX_OPERATORS:
-        raise OnnxError(
+        raise ValueError(
             f"network must have at most {MAX_OPERATORS} operators, got "
             f"{len(model.graph.node)}."
         )
@@ -264,18 +256,18 @@ def _check_operators(model: Any, onnx: Any) -> None:
         if isinstance(message, onnx.TensorProto) and (
             message.external_data or message.data_location == onnx.TensorProto.EXTERNAL
         ):
-            raise OnnxError(
+            raise ValueError(
                 f"network must hold all its weights, got {message.name!r} in another "
                 "file. Export it as one file (torch: external_data=False)."
             )
         if isinstance(message, onnx.AttributeProto) and (message.HasField("g")):
-            raise OnnxError(
+            raise ValueError(
                 f"network must be without control flow, got {message.name!r}. Export "
                 "it by tracing, without If, Loop and Scan."
             )
     for node in model.graph.node:
         if node.op_type.startswith(_RANDOM):
-            raise OnnxError(
+            raise ValueError(
                 f"network must not use random operators, got {node.op_type!r}. Export "
                 "it in evaluation mode (torch: network.eval())."
             )
@@ -306,7 +298,7 @@ def _session(content: bytes) -> Any:
             network, options, providers=["CPUExecutionProvider"]
         )
     except Exception as error:
-        raise OnnxError(f"network cannot be run: {_first_line(error)}.") from error
+        raise ValueError(f"network cannot be run: {_first_line(error)}.") from error
     _check_input(session.get_inputs())
     return session
 
@@ -331,18 +323,18 @@ def _check_input(inputs: Sequence[Any]) -> None:
     kind, shape = shapes[0] if len(shapes) == 1 else ("", [])
     if kind != "tensor(float)" or len(shape) != 4 or shape[1] not in (1, 3):
         got = ", ".join(f"{kind} {shape}" for kind, shape in shapes) or "no input"
-        raise OnnxError(
+        raise ValueError(
             "network must take float images (n, 1 or 3 channels, n_rows, n_cols), got "
             f"{got}."
         )
     if isinstance(shape[0], int):
-        raise OnnxError(
+        raise ValueError(
             f"network must take any number of images at once, got {shape[0]}. Export "
             "it with a dynamic first axis (torch: dynamic_axes={'images': {0: 'n'}})."
         )
     sides = [side for side in shape[2:] if isinstance(side, int)]
     if any(not 0 < side <= MAX_SIDE for side in sides):
-        raise OnnxError(
+        raise ValueError(
             f"network must take images of 1 to {MAX_SIDE} pixels a side, got "
             f"{' x '.join(map(str, shape[2:]))}."
         )
@@ -352,15 +344,15 @@ def _rows(output: Any, n_images: int) -> Floats:
     """Return an output as vectors, one a row, or explain."""
     if not isinstance(output, np.ndarray) or output.dtype.kind != "f":
         got = output.dtype if isinstance(output, np.ndarray) else type(output).__name__
-        raise OnnxError(f"The network must give floats, got {got}.")
+        raise ValueError(f"The network must give floats, got {got}.")
     if output.ndim < 2 or len(output) != n_images or not output.size:
-        raise OnnxError(
+        raise ValueError(
             f"The network must give one vector for each of {n_images} images, got "
             f"shape {output.shape}."
         )
     vectors = output.reshape(n_images, -1).astype(np.float64)
     if not np.isfinite(vectors).all():
-        raise OnnxError(
+        raise ValueError(
             "The network gave NaN or infinity. Give mean and std that its training "
             "images had, or train it with weight decay."
         )
@@ -407,14 +399,14 @@ def _bytes_of(network: str | Path | Array) -> bytes:
         )
     path = Path(network)
     if not path.is_file():
-        raise OnnxError(f"There is no network file {path}. Check the path.")
+        raise ValueError(f"There is no network file {path}. Check the path.")
     _check_size(path.stat().st_size, f"{path} with ")
     return path.read_bytes()
 
 
 def _check_size(n_bytes: int, name: str = "") -> None:
     if n_bytes > MAX_NETWORK_MB * MB:
-        raise OnnxError(
+        raise ValueError(
             f"network must be at most {MAX_NETWORK_MB} MB, got {name}"
             f"{n_bytes / MB:.0f} MB. Use a smaller network, or 16-bit weights."
         )

@@ -186,9 +186,8 @@ class GridLevels(ImageEstimator, by_channel=False):
         sides = images.shape[1:3]
         cells = check_count("cells", self.cells)
         blur = check_number("blur", self.blur, low=0, high=cells)
-        check_option("root", self.root, (False, True))
-        check_option("unit", self.unit, (False, True))
-        check_option("spectrum", self.spectrum, (False, True))
+        for name in ("root", "unit", "spectrum"):
+            check_option(name, getattr(self, name), (False, True))
         size = max(max(sides) / cells, 1)
         self.down_, self.across_ = (
             _averages(n, max(round(n / size), 1)) for n in sides
@@ -202,13 +201,8 @@ class GridLevels(ImageEstimator, by_channel=False):
             rows = evenly_spaced(len(images), _LOOKED_AT)
             self.baseline_ = np.median(by_channel(self._means, images[rows]), axis=0)
         elif self.baseline is not None:
-            frame = check_finite(np.asarray(self.baseline)[np.newaxis])
-            if frame.shape[1:] != images.shape[1:]:
-                raise ValueError(
-                    f"baseline must be an image of shape {images.shape[1:]} like the "
-                    f"others, got {frame.shape[1:]}. Crop or resize it."
-                )
-            self.baseline_ = by_channel(self._means, frame)[0]
+            frame = _baseline_like(images, self.baseline)
+            self.baseline_ = by_channel(self._means, frame[np.newaxis])[0]
         if self.pads is not None:
             self.pads_ = boxes_of(self.pads, sides)
             self.grids_ = [
@@ -274,6 +268,17 @@ class TaxelVector(ImageEstimator):
     def transform_checked(self, images: Array) -> Floats:
         """Return the taxels, shape (n_touches, n_rows * n_cols)."""
         return images.reshape(len(images), -1).astype(np.float64)
+
+
+def _baseline_like(images: Array, baseline: ArrayLike) -> Array:
+    """Return a finite frame of no contact, of the size of the images, or explain."""
+    frame = np.asarray(baseline)
+    if frame.shape != images.shape[1:]:
+        raise ValueError(
+            f"baseline must be 'median' or an image of shape {images.shape[1:]} like "
+            f"the others, got one of shape {frame.shape}. Crop or resize it."
+        )
+    return np.asarray(check_finite(frame[np.newaxis])[0])
 
 
 def _averages(n: int, n_cells: int) -> Floats:
@@ -353,14 +358,7 @@ class PhotometricGradients(ImageEstimator, by_channel=False):
         self.slopes_ = np.linalg.pinv(lights)
         baseline = self.baseline
         if not isinstance(baseline, str):
-            frame = np.asarray(baseline)
-            if frame.shape != images.shape[1:]:
-                raise ValueError(
-                    f"baseline must be 'median' or an image of shape "
-                    f"{images.shape[1:]} like the others, got one of shape "
-                    f"{frame.shape}."
-                )
-            baseline = self._slopes(frame)
+            baseline = self._slopes(_baseline_like(images, baseline))
         self.grid_ = GridLevels(self.cells, baseline=baseline)
         self.grid_.fit(self._slopes(images))
 
@@ -417,7 +415,7 @@ class PolarGradients(ImageEstimator):
     """
 
     blind_to = frozenset({"turns"})
-    _bounded = True
+    _takes = "bounded"
 
     def __init__(
         self, n_rings: int = 14, n_harmonics: int = 16, smoothing: float = 0.025
@@ -428,8 +426,7 @@ class PolarGradients(ImageEstimator):
 
     def _learn(self, images: Array) -> Floats:
         check_count("n_rings", self.n_rings)
-        check_count("n_harmonics", self.n_harmonics)
-        check_number("n_harmonics", self.n_harmonics, high=_PLACES // 2 - 1)
+        check_count("n_harmonics", self.n_harmonics, at_most=_PLACES // 2 - 1)
         check_number("smoothing", self.smoothing, low=1e-3, high=0.5)
         raw = self._harmonics(images)
         means, power = raw[..., 0].mean(axis=0), np.zeros(raw.shape[1])

@@ -116,6 +116,8 @@ class ZernikeMoments(ImageEstimator):
            [1., 0., 0., 0.]])
     """
 
+    _takes = "any"  # NaN shows in the moments, which are sooner looked through
+
     def __init__(
         self,
         order: int = 15,
@@ -172,13 +174,9 @@ class ZernikeMoments(ImageEstimator):
         check_is_fitted(self, "image_shape_")
         return self._columns_named(f"zernike{n},{m}" for n, m in self.indices_)
 
-    def _checked(self, X: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-        return _checks.check_image_shape(X, shape=shape, channels=True)
-
     def _images(self, X: ArrayLike) -> Array:
         images = super()._images(X)
-        # To this order NaN shows in the moments, which are sooner looked through, but
-        # which count channels as touches.
+        # Beyond this order it may not show, and moments count channels as touches.
         if self.order > HIGHEST_SEPARABLE_ORDER or images.ndim > 3:
             check_finite(images)
         return images

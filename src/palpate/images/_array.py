@@ -66,7 +66,7 @@ class ArrayCleanUp(ImageEstimator):
     array([221])
     """
 
-    _allow_nan = True
+    _takes = "nan"
 
     def __init__(
         self,
@@ -162,13 +162,9 @@ def binarise(images: Floats, n_partitions: int, *, min_contrast: float = 0.0) ->
     constant: background, or where their level is above the whole image's threshold,
     foreground.
     """
-    n_parts = check_count("n_partitions", n_partitions)
+    shorter = min(images.shape[1:])
+    n_parts = check_count("n_partitions", n_partitions, at_most=shorter)
     contrast = _checks.check_number("min_contrast", min_contrast, low=0, high=1)
-    if n_parts > min(images.shape[1:]):
-        raise ValueError(
-            f"n_partitions must be at most {min(images.shape[1:])}, the shorter side "
-            f"of the images, got {n_parts}. Upsample the images first."
-        )
     whole = otsu_thresholds(images.reshape(len(images), -1))
     span = np.ptp(images, axis=(1, 2))
     binary = np.empty(images.shape, dtype=bool)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_images, check_number, check_option
+from .._checks import check_images, check_number, check_option, one_each
 from .._durable import write_text
 from .._image_estimator import ImageEstimator
 from .._types import Array, Floats, Indices
@@ -210,12 +210,7 @@ class TaxelCalibration(ImageEstimator):
 
     def _check_loads(self, y: ArrayLike, n_frames: int) -> Floats:
         check_option("load_unit", self.load_unit, KPA_PER_UNIT)
-        loads = np.asarray(y, dtype=np.float64)
-        if loads.shape != (n_frames,):
-            raise ValueError(
-                f"y must hold one load per frame, shape ({n_frames},), got shape "
-                f"{loads.shape}."
-            )
+        loads = one_each("y", np.asarray(y, dtype=np.float64), n_frames, "frames")
         if not (np.isfinite(loads).all() and (loads >= 0).all()):
             raise ValueError(
                 "y must be finite loads of at least 0, got values from "

@@ -150,9 +150,9 @@ def repose(
     check_option("edges", edges, ("zero", "nearest"))
     check_option("interpolation", interpolation, tuple(_TAPS))
     n_touches, n_rows, n_cols = checked.shape
-    angle = np.deg2rad(_per_touch("angle_deg", angle_deg, (n_touches,)))
-    shift = _per_touch("shift_px", shift_px, (n_touches, 2))
-    factor = _per_touch("gain", gain, (n_touches,))
+    angle = np.deg2rad(per_touch("angle_deg", angle_deg, (n_touches,)))
+    shift = per_touch("shift_px", shift_px, (n_touches, 2))
+    factor = per_touch("gain", gain, (n_touches,))
     rows, cols = (n_rows, n_cols) if shape is None else shape
     rows, cols = check_count("shape[0]", rows), check_count("shape[1]", cols)
     grid = np.indices((rows, cols), dtype=np.float64)
@@ -172,7 +172,8 @@ def repose(
     return reposed
 
 
-def _per_touch(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
+def per_touch(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
+    """Return finite values of `shape`, of which one may stand for all, or explain."""
     values = np.asarray(value, dtype=np.float64)
     if values.shape not in (shape, shape[1:]):
         single = "a number" if len(shape) == 1 else f"of shape {shape[1:]}"

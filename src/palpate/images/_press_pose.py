@@ -20,10 +20,17 @@ from sklearn.base import BaseEstimator
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 
-from .._checks import check_count, check_images, check_label_kinds, check_positive
-from .._types import Array, Floats, Indices
+from .._checks import (
+    check_count,
+    check_images,
+    check_label_kinds,
+    check_positive,
+    one_each,
+)
+from .._types import Floats, Indices
 from . import _pose_template
 from ._array import binarise, correct_gamma, fill_dead_taxels, resize
+from ._orientation import per_touch
 from ._pose_template import find_symmetry, learn_template, pose_variances, register
 
 _PIXELS_PER_TAXEL, _GAMMA = 3, 0.8  # of the outline that registration starts from
@@ -155,15 +162,12 @@ class PressPose(BaseEstimator):
             square at 0 stands on a corner.
         """
         images = check_images(X, allow_nan=True)
-        labels = _check_labels(y, len(images))
-        angles = None if angle_deg is None else np.asarray(angle_deg, dtype=np.float64)
-        if angles is not None and (
-            angles.shape != (len(images),) or not np.isfinite(angles).all()
-        ):
-            raise ValueError(
-                f"angle_deg must be finite angles of shape ({len(images)},), got shape "
-                f"{angles.shape}. Leave it out where angles are unknown."
-            )
+        check_label_kinds(y)
+        labels = one_each("y", y, len(images))
+        angles = None
+        if angle_deg is not None:
+            each = one_each("angle_deg", angle_deg, len(images))
+            angles = per_touch("angle_deg", each, labels.shape)
         check_positive("pitch_mm", self.pitch_mm)
         most = check_count("max_presses", self.max_presses)
         self.image_shape_ = (images.shape[1], images.shape[2])
@@ -185,7 +189,8 @@ class PressPose(BaseEstimator):
         """Estimate the pose of each press `X` of the parts `y`."""
         check_is_fitted(self)
         images = check_images(X, shape=self.image_shape_, allow_nan=True)
-        labels = _check_labels(y, len(images))
+        check_label_kinds(y)
+        labels = one_each("y", y, len(images))
         unknown = np.setdiff1d(labels, self.labels_)
         if len(unknown):
             raise ValueError(
@@ -284,14 +289,3 @@ def _turn(points: Floats, angles: Floats) -> Floats:
     cos, sin = np.cos(angles), np.sin(angles)
     x, y = points.T
     return np.column_stack([cos * x - sin * y, sin * x + cos * y])
-
-
-def _check_labels(y: ArrayLike, n_touches: int) -> Array:
-    check_label_kinds(y)
-    labels = np.asarray(y)
-    if labels.shape != (n_touches,):
-        raise ValueError(
-            f"y must hold one label per press, shape ({n_touches},), got shape "
-            f"{labels.shape}."
-        )
-    return labels

@@ -192,8 +192,7 @@ def as_images(X: ArrayLike, *, shape: tuple[int, ...] | None = None) -> Array:
 
 def _find(image: Array, near: Circle | None) -> Circle:
     shape = image.shape
-    stand_in = near or Circle.inscribed(shape)
-    missing = Circle(stand_in.row, stand_in.col, stand_in.radius, False, 0.0)
+    missing = replace(near or Circle.inscribed(shape), visible=False, score=0.0)
     if min(shape) < SMALLEST_SIDE:
         return missing
     # 8-bit as it is, anything else stretched to 0..1 in single precision.
@@ -204,31 +203,28 @@ def _find(image: Array, near: Circle | None) -> Circle:
         if low == high:
             return missing
         grey = ((image / 2 - low / 2) / (high / 2 - low / 2)).astype(np.float32)
-    if near is not None:
-        # The camera rarely moves far: looked for first where the rim was.
-        usual = (near.row, near.col, near.radius)
-        sign = _rim_fit.sign_at(grey, usual)
-        here = _rim_fit.refine(grey, usual, sign, near.radius, widths=(0.4, 0.2))
-        if here is not None and _is_rim(here, shape, near):
-            away = np.hypot(here.circle[0] - near.row, here.circle[1] - near.col)
-            if away <= FEW_STEPS * near.radius:
-                return Circle(*here.circle, True, here.support)
     rims = (fit for fit in _candidates(grey, near) if _is_rim(fit, shape, near))
     if near is not None:
         best = next(rims, None)
     else:
         best = max(rims, key=attrgetter("evidence"), default=None)
-    if best is None:
-        return missing
-    if near is None:
         # The votes may be further off than one search of the edges reaches.
-        again = _rim_fit.refine(grey, best.circle, best.sign)
+        again = best and _rim_fit.refine(grey, best.circle, best.sign)
         best = again if again and _is_rim(again, shape, near) else best
-    return Circle(*best.circle, True, best.support)
+    return Circle(*best.circle, True, best.support) if best else missing
 
 
 def _candidates(grey: Array, near: Circle | None) -> Iterator[Fit]:
-    """Fit the circles that the most edge points agree on."""
+    """Fit a circle near a known one, then those that the most edge points agree on."""
+    if near is not None:
+        # The camera rarely moves far: looked for first where the rim was.
+        usual = (near.row, near.col, near.radius)
+        sign = _rim_fit.sign_at(grey, usual)
+        here = _rim_fit.refine(grey, usual, sign, near.radius, widths=(0.4, 0.2))
+        if here is not None:
+            away = np.hypot(here.circle[0] - near.row, here.circle[1] - near.col)
+            if away <= FEW_STEPS * near.radius:
+                yield here
     small, block = _rim_fit.reduce(grey)
     centre = (block - 1) / 2
     side = min(small.shape)

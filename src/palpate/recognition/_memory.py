@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist, pdist
 
-from .._checks import check_label_kinds, one_spelling
+from .._checks import check_label_kinds, one_each, one_spelling
 from .._types import Array, Bools, Floats, Indices
 from ..classifiers import KernelRidgeClassifier
 from ..touches import Touches, TouchSource
@@ -408,12 +408,8 @@ def labelled(X: Any, y: ArrayLike | None, label: str) -> Touches | TouchSource:
             "Rename objects in the library, or give `library.touches(...)`."
         )
     check_label_kinds(y)
-    touches, names = as_touches(X), np.asarray(y)
-    if names.shape != (len(touches),):
-        raise ValueError(
-            f"y must have one label for each of {len(touches)} touches, got shape "
-            f"{names.shape}."
-        )
+    touches = as_touches(X)
+    names = one_each("y", y, len(touches))
     return touches.with_columns(**{label: names.astype(str)})
 
 

@@ -19,7 +19,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils import check_array, get_tags
 
-from .._checks import check_label_kinds, check_number
+from .._checks import check_label_kinds, check_number, one_each
 from .._numbers import with_floor
 from .._types import Array, Floats
 from ..classifiers import FromProbabilities, KernelRidgeClassifier
@@ -237,12 +237,7 @@ class Modality(BaseEstimator):
         examples = check_array(X, dtype=np.float64)
         check_label_kinds(y)
         check_array(y, ensure_2d=False, dtype=None, input_name="y")
-        labels = np.asarray(y).astype(str)
-        if labels.shape != (len(examples),):
-            raise ValueError(
-                f"y must have one label for each of {len(examples)} examples, "
-                f"got shape {labels.shape}."
-            )
+        labels = one_each("y", y, len(examples), "examples").astype(str)
         names, counts = np.unique(labels, return_counts=True)
         if len(names) < 2 or counts.min() < 2:
             raise ValueError(

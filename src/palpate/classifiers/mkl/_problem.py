@@ -146,9 +146,6 @@ class Task:
     def take(self, keep: Array) -> "Task":
         return Task(self.system.take(keep), self.C, self.norm)
 
-    def view(self, point: Point) -> View:
-        return self.system.view(self, point)
-
     def weights(self, point: Point) -> Floats:
         """The weights d that belong to the shares, of p-norm 1."""
         return point.shares if self.norm == 1 else point.shares ** (1 / self.norm)
@@ -246,7 +243,7 @@ def solve_interior(
                 view = view.take(going)
                 going = going[going]
             point = _advanced(task, point, view, going)
-            view = task.view(point)
+            view = task.system.view(task, point)
         best.n_iter = np.minimum(best.n_iter, max_iter)
         return best.solution(whole)
 
@@ -266,7 +263,7 @@ def _start(task: Task) -> tuple[Point, View]:
     free = np.concatenate([np.zeros((n_problems, 2)), pulls], axis=1)
     left = np.concatenate([ray, task.C - ray, shares], axis=1)
     point = Point(left, np.zeros_like(left), free, n)
-    view, slope = task.view(point), task.slopes(point)[0]
+    view, slope = system.view(task, point), task.slopes(point)[0]
     total = ray.sum(axis=1, keepdims=True)
     energy = np.maximum(2 * view.energies.max(axis=1, keepdims=True), 1e-300)
     length = np.minimum(total / energy, task.C)
@@ -395,7 +392,7 @@ class Best:
             alpha = sparse.alpha
             alpha[alpha < share_of_alpha * alpha.max(axis=1, keepdims=True)] = 0
             sparse = part.system.settled(part, sparse, share_of_weight)
-            view = part.view(sparse)
+            view = part.system.view(part, sparse)
             sparse_gap = relative_gap(part, sparse, view)
             fine = sparse_gap <= np.maximum(self._tol, gap[rows])
             # Nothing is left out in the last round: that is how it must be.

@@ -29,7 +29,7 @@ from ..._checks import (
 )
 from ..._parallel import on_one_thread
 from ..._types import Array, Floats
-from .._touch_classifier import as_touches, labelled_touches
+from .._touch_classifier import as_touches, classes_of, labelled_touches
 from . import _kernels, _pairs
 from ._kernels import (
     DenseBank,
@@ -226,13 +226,7 @@ class MKLSVC(ClassifierMixin, BaseEstimator):
         """
         settings = self._settings()
         touches, labels = self._validated(X, y)
-        classes, codes = np.unique(labels, return_inverse=True)
-        if len(classes) < 2:
-            raise ValueError(
-                "y must hold at least two classes, got one class: "
-                f"{classes[0]}. Add touches of another."
-            )
-        self.classes_ = classes
+        self.classes_, codes = classes_of(labels)
         bank = self._make_bank(touches, codes)
         waits = isinstance(bank, DenseBank) and _largest_pair(codes) >= _SHARED_FROM
         with on_one_thread() if waits else nullcontext():
