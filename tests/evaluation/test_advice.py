@@ -180,12 +180,6 @@ def test_the_verdict_is_one_sentence_on_how_good_and_why():
     assert verdict({**always, "chance": 0.25, **NEW}).startswith("This does not show")
 
 
-def test_the_sentence_stands_in_the_figures():
-    plan = Plan(touches=(1, 3), orders=5)
-    figures, _ = evaluate(TAUGHT, split="last", plan=plan)
-    assert figures["verdict"] == verdict(figures)
-
-
 def test_mistakes_are_shares_over_objects_and_trials():
     """Less than a fortieth of all answers is not worth a sentence."""
     confusion = np.eye(4)

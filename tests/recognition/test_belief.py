@@ -64,8 +64,8 @@ def start(model):
             sequence_calibration=SequenceCalibration(*calibration),
             **({"categories": np.array(KINDS)} | (model_parts or {})),
         )
-        logs = None if prior is None else np.log(prior)
-        return Belief(belief_model, model.evidence, logs, strangers)
+        by_name = None if prior is None else dict(zip(NAMES, prior, strict=True))
+        return Belief(belief_model, model.evidence, by_name, strangers)
 
     return begin
 

@@ -348,10 +348,11 @@ def test_forgetting_and_replacing_keep_the_others():
     assert memory.without([2, "3"]).sensor == SENSOR
     assert memory.without([]).touch_ids.tolist() == list("01234")
     anew = memory_of([2, 2, 2], [0, 0, 1], touch_ids=np.array(["x", "y", "z"]))
-    replaced = memory.replaced(anew)
+    replaced = memory.without([2]).plus(anew)
     assert replaced.touch_ids.tolist() == ["0", "1", "4", "x", "y", "z"]
     assert replaced.blocks.tolist() == [0, 1, 3, 4, 4, 5]
-    assert anew.replaced(memory_of([2, 2], [0, 1])).touch_ids.tolist() == ["0", "1"]
+    none_left = anew.without([2])
+    assert none_left.plus(memory_of([2, 2], [0, 1])).touch_ids.tolist() == ["0", "1"]
 
 
 @pytest.mark.parametrize("most", range(2, 10))

@@ -12,6 +12,7 @@ from palpate import Touches
 from palpate.classifiers import EncodingPool
 from palpate.recognition import ObjectRecogniser, sessions_message
 from palpate.recognition._rehearsal import (
+    Drawn,
     Ranges,
     _and_confirmed,
     _replays,
@@ -19,7 +20,6 @@ from palpate.recognition._rehearsal import (
     at_rest,
     in_another_session,
 )
-from palpate.recognition._rehearsed import Drawn
 from palpate.recognition._sessions import (
     Parts,
     Taught,

@@ -147,12 +147,6 @@ def evaluate(
         progress(f"{len(folds)} folds")
         tasks = [(fold, unknown, plan, silent) for fold in folds]
         trials = in_parallel(_run, tasks, "Folds", show=False)
-    longest = max(len(rows[0]) for trial in trials for rows in trial.episodes.rows)
-    if min(plan.touches) > longest:
-        raise ValueError(
-            f"touches must hold a number up to {longest}, the most test touches of an "
-            f"object, got {plan.touches}."
-        )
     figures = figures_of(trials, plan, split)
     if split in ("between", "last") and recorded_order(train) is None:
         figures["notes"].append(_UNORDERED)
@@ -184,7 +178,6 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
     labels = test.columns[plan.label]
     objects = labels if test.object is None else test.object
     of_test = evidence.log_likelihood, objects, labels, plan.orders, plan.seed
-    flagged = Counter(filter(None, evidence.flags))
     trial = Trial(
         replace(fold, train=train, test=test),
         recogniser,
@@ -193,7 +186,6 @@ def _run(fold: Fold, unknown: Touches | None, plan: Plan, progress: Progress) ->
         run_episodes(recogniser, *of_test, calibrated=False),
         seconds={**seconds, **timing},
         confirmed=confirmed,
-        flags={flag: n / len(test) for flag, n in sorted(flagged.items())},
     )
     if unknown is not None:
         progress(f"{fold.name}: meeting {len(unknown)} unknown touches")

@@ -44,31 +44,20 @@ TextTable = tuple[str, list[str], list[list[str]]]
 
 
 class Explained(NamedTuple):
-    """One episode up to its end: the touches, and what was made of them."""
+    """One episode up to its end: the touches, and what was made of them.
+
+    What they told is as in the session in which they were asked.
+    """
 
     trial: Trial
     name: str
     truth: str
     rows: Indices
+    touches: Touches
+    evidence: Evidence
     label: str
     right: bool
-    is_stranger: bool = False
-
-    @property
-    def touches(self) -> Touches:
-        """The touches of the episode, in their order."""
-        unknown = self.trial.unknown
-        if self.is_stranger and unknown is not None:
-            return unknown[self.rows]
-        return self.trial.fold.test[self.rows]
-
-    @property
-    def evidence(self) -> Evidence:
-        """What they told, in the session in which they were asked."""
-        trial = self.trial
-        of_all = trial.unknown_evidence if self.is_stranger else trial.evidence
-        assert of_all is not None
-        return Evidence.together([*map(of_all.of_touch, self.rows.tolist())])
+    is_stranger: bool
 
 
 def write_report(
@@ -492,16 +481,19 @@ def _explained(
     trial: Trial, end: Decisions, number: int, *, is_stranger: bool = False
 ) -> Explained:
     """Return an episode with the touches up to its end, and its answer."""
-    episodes = trial.unknown_episodes if is_stranger else trial.episodes
-    assert episodes is not None
+    met: tuple[Any, ...] = trial.episodes, trial.fold.test, trial.evidence
+    if is_stranger:
+        met = trial.unknown_episodes, trial.unknown, trial.unknown_evidence
+    episodes, touches, of_all = met
     name, classes = str(end.objects[number]), trial.recogniser.classes_
     place = episodes.objects.index(name)
     truth = name if is_stranger else str(classes[episodes.truth[place]])
     orders = episodes.rows[place]
     rows = orders[number % len(orders), : int(end.touches[number])]
     answer = str(answers_of(episodes, end, classes)[number])
-    right = bool(end.right[number])
-    return Explained(trial, name, truth, rows, answer, right, is_stranger)
+    evidence = Evidence.together([*map(of_all.of_touch, rows.tolist())])
+    asked, right = (rows, touches[rows], evidence), bool(end.right[number])
+    return Explained(trial, name, truth, *asked, answer, right, is_stranger)
 
 
 def _episode(explained: Explained, decision: dict[str, Any]) -> str:

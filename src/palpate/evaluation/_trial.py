@@ -134,8 +134,6 @@ class Trial:
         Their episodes, like `episodes`.
     unknown_evidence : Evidence or None
         All that they told, each in its session.
-    flags : dict
-        Share of the test touches with each flag, such as "no contact".
     controls : dict
         Accuracy after k touches of each nuisance control; None where it has no cause.
     """
@@ -150,7 +148,6 @@ class Trial:
     unknown: Touches | None = None
     unknown_episodes: Episodes | None = None
     unknown_evidence: Evidence | None = None
-    flags: dict[str, float] = field(default_factory=dict)
     controls: dict[str, dict[str, float] | None] = field(default_factory=dict)
 
     def taught(self, row: int) -> Touches:
@@ -218,9 +215,11 @@ def figures_of(
     if trials[0].unknown_episodes is not None:
         figures["unknown_decision"] = _strangers_ends(trials, *accepted)
     figures["controls"] = _mean_controls(trials)
-    seen = dict.fromkeys(flag for t in trials for flag in t.flags)
-    shares = {f: [t.flags.get(f, 0.0) for t in trials] for f in seen}
-    figures["flags"] = {flag: float(np.mean(each)) for flag, each in shares.items()}
+    flagged = [(Counter(t.evidence.flags), len(t.fold.test)) for t in trials]
+    seen = dict.fromkeys(flag for each, _ in flagged for flag in sorted(each) if flag)
+    figures["flags"] = {
+        flag: float(np.mean([each[flag] / n for each, n in flagged])) for flag in seen
+    }
     figures["seconds"] = {
         name: float(np.mean([t.seconds[name] for t in trials]))
         for name in trials[0].seconds
@@ -231,14 +230,17 @@ def figures_of(
 def _too_long_message(trials: Sequence[Trial], plan: Plan) -> list[str]:
     """Return a sentence on the numbers of touches that no object has, or none."""
     longest = max(b.shape[1] for t in trials for b in t.episodes.beliefs)
-    left_out = ", ".join(str(k) for k in plan.touches if k > longest)
-    if not left_out:
-        return []
+    left_out = [str(k) for k in plan.touches if k > longest]
+    if len(left_out) == len(plan.touches):
+        raise ValueError(
+            f"touches must hold a number up to {longest}, the most test touches of an "
+            f"object, got {plan.touches}."
+        )
     sentence = (
-        f"Left out: figures after {left_out} touches; no object has more than "
-        f"{longest} test touches."
+        f"Left out: figures after {', '.join(left_out)} touches; no object has more "
+        f"than {longest} test touches."
     )
-    return [sentence]
+    return [sentence] if left_out else []
 
 
 def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> None:

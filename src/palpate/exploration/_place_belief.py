@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from textwrap import wrap
 from typing import TYPE_CHECKING, Self
@@ -92,10 +93,10 @@ class PlaceBelief(BeliefOfPlaces):
         self,
         surface_map: SurfaceMap,
         centre_mm: ArrayLike,
-        log_prior: Floats | None,
+        prior: Mapping[str, float] | None,
         strangers: float,
     ) -> None:
-        super().__init__(surface_map.recogniser, log_prior, strangers)
+        super().__init__(surface_map.recogniser, prior, strangers)
         self.map = surface_map
         self.centre_mm = np.asarray(centre_mm, dtype=np.float64)
         self.filter, self._faces, self._stranger = surface_map.filters_before()

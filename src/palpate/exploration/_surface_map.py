@@ -284,8 +284,7 @@ class SurfaceMap:
             Where the middle of the object is assumed, in the frame of the arm.
         """
         check_learnt(self)
-        log_prior = self.recogniser.belief_model().log_prior_of(prior)
-        return PlaceBelief(self, centre_mm, log_prior, strangers)
+        return PlaceBelief(self, centre_mm, prior, strangers)
 
     def start_before(
         self, hemisphere: Hemisphere, strangers: float = STRANGERS

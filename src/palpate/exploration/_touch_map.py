@@ -220,8 +220,7 @@ class TouchMap:
             As in `ObjectRecogniser.start`.
         """
         check_learnt(self)
-        log_prior = self.recogniser.belief_model().log_prior_of(prior)
-        return PlacedBelief(self, log_prior, strangers)
+        return PlacedBelief(self, prior, strangers)
 
     @property
     def sequence_calibration(self) -> SequenceCalibration:
@@ -322,10 +321,13 @@ class BeliefOfPlaces(Belief):
     """What beliefs share that also know from where touches were made."""
 
     def __init__(
-        self, recogniser: ObjectRecogniser, log_prior: Floats | None, strangers: float
+        self,
+        recogniser: ObjectRecogniser,
+        prior: Mapping[str, float] | None,
+        strangers: float,
     ) -> None:
         model, evidence_of = recogniser.belief_model(), recogniser.evidence
-        super().__init__(model, evidence_of, log_prior, strangers)
+        super().__init__(model, evidence_of, prior, strangers)
 
     def is_stuck(self, *args: Any, **kwargs: Any) -> bool:
         """Return False: touches at other places may always tell."""
@@ -360,9 +362,9 @@ class PlacedBelief(BeliefOfPlaces):
     """
 
     def __init__(
-        self, touch_map: TouchMap, log_prior: Floats | None, strangers: float
+        self, touch_map: TouchMap, prior: Mapping[str, float] | None, strangers: float
     ) -> None:
-        super().__init__(touch_map.recogniser, log_prior, strangers)
+        super().__init__(touch_map.recogniser, prior, strangers)
         self._map = touch_map
         self._placed = np.zeros((touch_map.n_objects, touch_map.n_turns))
         self._weigh()

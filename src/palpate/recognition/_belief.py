@@ -78,12 +78,6 @@ class BeliefModel:
     other_session: bool = False
     uses_no_contact: bool = False
 
-    def log_prior_of(self, prior: Mapping[str, float] | None) -> Floats:
-        """Return the log prior (nats), of the probability of each object if given."""
-        if prior is None:
-            return self.log_prior
-        return _evidence.given_prior(prior, self.classes)
-
 
 class Belief:
     """The probability of each learnt object, and of none of them, touch by touch.
@@ -106,12 +100,14 @@ class Belief:
         self,
         model: BeliefModel,
         evidence_of: Callable[[Touches | Array], Evidence],
-        log_prior: Floats | None = None,
+        prior: Mapping[str, float] | None = None,
         strangers: float = STRANGERS,
     ) -> None:
         self._model = model
         self._evidence_of = evidence_of
-        self._log_prior = model.log_prior if log_prior is None else log_prior
+        self._log_prior = model.log_prior
+        if prior is not None:
+            self._log_prior = _evidence.given_prior(prior, model.classes)
         self.strangers = check_strangers(strangers)
         self.flags: list[str] = []
         self._floored: list[Floats] = []
@@ -365,7 +361,8 @@ class Belief:
             alone = _strangers.summed_by_category(self._alone, codes, present)
             model, count = self._model.strangers, np.asarray(self._n_informative)
             score = model.score(alone, self._farther, count)
-            evidence = model.category_evidence(score, _evidence.doubts(logs))
+            level = _strangers.log_level(score, _evidence.doubts(logs))
+            evidence = model.low_category_curve.at(level)
         log_known, _ = _strangers.stranger_log_shares(evidence, self.strangers)
         shares = self._shares(logs + log_known)
         together = dict.fromkeys(names[first].tolist(), 0.0)
@@ -528,15 +525,19 @@ class Belief:
 
         The same words stand on the page, in reports and in the terminal.
         """
-        decision = self.named(error, costs, refusal=refusal, level=level)
-        probability = 0.0 if decision is None else self.probability(decision)
-        named = None if decision is None else (*decision, probability)
+        accepted: Any = {"error": error, "refusal": refusal, "level": level}
         n_counted = sum(map(is_counted, self.flags))
-        is_stuck = decision is None and self.is_stuck(
-            error, costs, refusal=refusal, level=level
-        )
+        named = self.named(costs=costs, **accepted)
+        return self._sentence_on(named, n_counted, costs=costs, **accepted)
+
+    def _sentence_on(self, named: Named | None, n_touches: int, **accepted: Any) -> str:
+        """Return the sentence on a decision after so many touches that count."""
         shares = self.posterior, self.unknown
-        return sentence_of(*shares, n_counted, named, is_stuck=is_stuck)
+        if named is not None:
+            decision = *named, self.probability(named)
+            return sentence_of(*shares, n_touches, decision)
+        is_stuck = self.is_stuck(**accepted)
+        return sentence_of(*shares, n_touches, None, is_stuck=is_stuck)
 
     def is_stuck(
         self,

@@ -10,7 +10,7 @@ from ..touches import Touches
 from ._belief import Belief, Level, Named
 from ._evidence import Evidence
 from ._memory import UNKNOWN
-from ._sentences import NOTHING, draw_episode, is_counted, sentence_of, touch_note
+from ._sentences import NOTHING, draw_episode, is_counted, touch_note
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -93,12 +93,12 @@ class Episode:
         level: Level = "object",
     ) -> None:
         self.belief, self.error, self.refusal = belief, error, refusal
-        self.decision_level: Level = level
+        self._level: Level = level
         self.touches: list[EpisodeTouch] = []
         self.withdrawn: list[str] = []
         self.decided_at: int | None = None
         self._named: Named | None = None
-        belief.decide(error, refusal=refusal, level=level)  # refuses wrong shares now
+        belief.decide(**self._accepted)  # refuses wrong shares now
 
     def add(self, touch: Touches | Array | Evidence | Any, **options: Any) -> str:
         """Take in one touch, or several in order, and return the sentence now.
@@ -139,8 +139,7 @@ class Episode:
 
     def _decide(self) -> None:
         """Keep, take or withdraw a decision after a touch."""
-        before, belief, level = self._named, self.belief, self.decision_level
-        now = belief.named(self.error, refusal=self.refusal, level=level)
+        before, now = self._named, self.belief.named(**self._accepted)
         if before is not None and not self._is_over(before):
             # A category may become one object of it; anything else stays as it is.
             if not (before.level == "category" and now and now.level == "object"):
@@ -173,6 +172,11 @@ class Episode:
         return max(shares, key=lambda name: shares[name])
 
     @property
+    def _accepted(self) -> dict[str, Any]:
+        """What `Belief.decide` takes."""
+        return {"error": self.error, "refusal": self.refusal, "level": self._level}
+
+    @property
     def decision(self) -> str | None:
         """The object or category, "unknown", or None."""
         return None if self._named is None else self._named.name
@@ -195,18 +199,11 @@ class Episode:
     @property
     def sentence(self) -> str:
         """What is decided, or what it may be, as it is now."""
-        belief, named, n_touches = self.belief, self._named, self.n_counted
-        if self.touches and all(touch.flag == "no contact" for touch in self.touches):
+        named, n_touches = self._named, self.n_counted
+        if self.touches and not n_touches:
             return "no contact yet: touch again"
-        if named is None:
-            is_stuck = belief.is_stuck(
-                self.error, refusal=self.refusal, level=self.decision_level
-            )
-            shares = belief.posterior, belief.unknown
-            return sentence_of(*shares, n_touches, None, is_stuck=is_stuck)
-        decision = *named, belief.probability(named)
-        words = sentence_of(belief.posterior, belief.unknown, n_touches, decision)
-        if not self.in_doubt:
+        words = self.belief._sentence_on(named, n_touches, **self._accepted)
+        if named is None or not self.in_doubt:
             return words
         leader = _in_words(self._leader(named))
         return f"{words}; {leader} is more probable now: touch again"

@@ -209,7 +209,6 @@ class Learner(BaseEstimator):
         self._check_fitted()
         name = check_option("name", self._spelt(name), self._names())
         memory = self.memory_.plus_once(self._memory_of(name, touches, 1))
-        memory = memory.with_whole_objects(name)
         if most is not None:
             memory = memory.newest(name, check_count("most", most, at_least=2))
         return self._relearn(memory)
@@ -235,7 +234,7 @@ class Learner(BaseEstimator):
         names = [forget] if isinstance(forget, str) else forget
         memory = self.memory_.without(map(self._spelt, names))
         for name, of_object in _memory.by_label(touches, self.label):
-            memory = memory.replaced(self._memory_of(name, of_object, 2))
+            memory = memory.without([name]).plus(self._memory_of(name, of_object, 2))
         return self._relearn(memory)
 
     def learn_beside(self, kept: Memory, touches: Touches | TouchSource | None) -> Self:
@@ -254,7 +253,6 @@ class Learner(BaseEstimator):
         for name, of_object in _memory.by_label(touches, self.label):
             least = 1 if name in memory.labels.astype(str) else 2
             memory = memory.plus_once(self._memory_of(name, of_object, least))
-            memory = memory.with_whole_objects(name)
         return self._relearn(memory)
 
     def forget_object(self, name: str) -> Self:
@@ -338,7 +336,6 @@ class Learner(BaseEstimator):
         int
             How many differences between sessions they showed.
         """
-        self._check_fitted()
         learnt, n_differences = without_nuisance(self.learnt(), as_touches(touches))
         self.serve(learnt)
         return n_differences
@@ -363,6 +360,18 @@ class Learner(BaseEstimator):
         """
         self._check_fitted()
         return left_out_log_likelihood(self.classifier_)
+
+    def _left_out_counted(self) -> Floats:
+        """Return the same, in which touches that do not count say nothing."""
+        nothing = self.memory_.nothing[self.left_out_rows]
+        return self._contact_only(self.left_out_log_likelihood(), nothing)
+
+    def _left_out_with_contact(self) -> tuple[Floats, Indices]:
+        """Return the same of touches that count, and the columns of their labels."""
+        rows, memory = self.left_out_rows, self.memory_
+        counts = ~memory.nothing[rows] | self.uses_no_contact_
+        codes = np.searchsorted(self.classes_, memory.labels[rows[counts]])
+        return self.left_out_log_likelihood()[counts], codes
 
     @property
     def left_out_rows(self) -> Indices:
@@ -557,10 +566,8 @@ class Learner(BaseEstimator):
         self.sequence_calibration_ = _evidence.SequenceCalibration()
         if preset.calibrates_sequence:
             rows = self.left_out_rows
-            left_out = left_out_log_likelihood(self.classifier_)
-            left_out = self._contact_only(left_out, memory.nothing[rows])
             self.sequence_calibration_ = fit_sequence_calibration(
-                with_floor(left_out, self.floor_),
+                with_floor(self._left_out_counted(), self.floor_),
                 np.searchsorted(self.classes_, memory.labels[rows]),
                 self._episodes_to_come(memory, memory.blocks[rows]),
                 self._log_prior(memory),
@@ -583,13 +590,11 @@ class Learner(BaseEstimator):
         weights = np.array([*self.classifier_.part_weights.values()])
         rows = self.left_out_rows
         uncorrected = self._contact_only(weights @ each, memory.nothing[rows])
-        log_likelihood, pool = uncorrected, None
-        machines = self.classifier_
-        if isinstance(machines, EncodingPool) and machines.scaling_ is not None:
-            pool, corrected = machines, left_out_log_likelihood(machines)
-            log_likelihood = self._contact_only(corrected, memory.nothing[rows])
+        pool = self.classifier_ if isinstance(self.classifier_, EncodingPool) else None
+        if pool is not None and pool.scaling_ is None:
+            pool = None
         left_out = LeftOut(
-            log_likelihood=log_likelihood,
+            log_likelihood=uncorrected if pool is None else self._left_out_counted(),
             uncorrected=uncorrected,
             pool=pool,
             each=each,

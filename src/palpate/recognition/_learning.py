@@ -104,11 +104,9 @@ def learn_encoding(
     labels_and_groups = labels[rows], group[rows]
     recipes = preset.encoders(shown, presentation)
     encoder, chosen = choose_encoder(preset, recipes, shown, *labels_and_groups)
-    frame = shown.no_contact
-    if encoder.as_changes and frame is not None and not isinstance(touches, Touches):
-        moved = at_its_rest(touches, frame)
-        if moved is not touches:
-            shown = moved.touches(rows).with_columns(geometry=geometry)
+    moved = as_rested(encoder, touches, shown.no_contact)
+    if moved is not touches:
+        shown = touches_of(moved, rows).with_columns(geometry=geometry)
     cleaned, learnt_steps = encoder.fit_clean(shown), dict[str, Any]()
     if len(encoder.encodings) > 1:
         encoder, pooled = choose_encodings(
@@ -142,7 +140,7 @@ def encoded(
         nothing = np.array(flags) == NO_CONTACT
         return np.column_stack([features, encoder.look(batch), nothing])
 
-    touches = as_rested(encoder, touches)
+    touches = as_rested(encoder, touches, getattr(encoder, "baseline_", None))
     with naming_empty(touches):
         if isinstance(touches, Touches):
             table = encode(touches)
@@ -154,23 +152,17 @@ def encoded(
 
 
 def as_rested(
-    encoder: Encoder, touches: Touches | TouchSource
+    encoder: Encoder, touches: Touches | TouchSource, frame: Array | None
 ) -> Touches | TouchSource:
-    """Return touches as an encoder of changes is to see them: of one level of rest.
+    """Return touches as an encoder of changes is to see them: as if at rest at a frame.
 
-    `Touches` have a frame of no contact of their own, or none.
+    Where a source knows at what it rested; `Touches` have their own frame, or none.
     """
-    frame = getattr(encoder, "baseline_", None)
-    if isinstance(touches, Touches) or frame is None:
-        return touches
-    sees_changes = getattr(encoder, "as_changes", False)
-    return at_its_rest(touches, frame) if sees_changes else touches
-
-
-def at_its_rest(touches: TouchSource, frame: Array) -> TouchSource:
-    """Return touches as if the sensor had rested at a frame, where that is known."""
     moved = getattr(touches, "resting_at", None)
-    return touches if moved is None else moved(frame)
+    if moved is None or frame is None or not getattr(encoder, "as_changes", False):
+        return touches
+    rested: TouchSource = moved(frame)
+    return rested
 
 
 def memory_of(

@@ -228,19 +228,6 @@ class Memory:
                 blocks[rows] = blocks.max() + 1 + touch * n_blocks // n_touches
         return replace(self, blocks=blocks)
 
-    def with_whole_objects(self, label: object) -> Self:
-        """Return this with each object of a category in one block, as `fit` has them.
-
-        See `left_out_groups`; a label that is one object keeps its blocks.
-        """
-        rows = np.flatnonzero(self.labels.astype(str) == str(label))
-        names, codes = np.unique(self.objects[rows], return_inverse=True)
-        if len(names) < 2:
-            return self
-        blocks = self.blocks.copy()
-        blocks[rows] = blocks.max() + 1 + codes
-        return replace(self, blocks=blocks)
-
     @property
     def copied_elsewhere(self) -> Bools:
         """Which touches are in another session as well, but for rounding."""
@@ -258,7 +245,8 @@ class Memory:
     def plus_once(self, other: Self) -> Self:
         """Return both as `plus` does, of touches without an id that are in both one.
 
-        They are of one label, and encoded alike but for rounding.
+        They are of one label, and encoded alike but for rounding. Of the other's labels
+        that are several objects each object is one block; see `left_out_groups`.
         """
         labels = np.isin(self.labels, other.labels) & (self.touch_ids == "")
         rows = np.flatnonzero(labels)
@@ -267,7 +255,14 @@ class Memory:
         near = cdist(self.features[rows], other.features).min(axis=1) <= limit
         gone = np.zeros(len(self), dtype=bool)
         gone[rows[near]] = True
-        return self.of_rows(~gone).plus(other)
+        both = self.of_rows(~gone).plus(other)
+        blocks = both.blocks.copy()
+        for label in other.classes:
+            rows = np.flatnonzero(both.labels == label)
+            codes = np.unique(both.objects[rows], return_inverse=True)[1]
+            if codes.any():
+                blocks[rows] = blocks.max() + 1 + codes
+        return replace(both, blocks=blocks)
 
     def without(self, labels: Iterable[object]) -> Self:
         """Return what is left when some labels are forgotten."""
@@ -300,10 +295,6 @@ class Memory:
             age[rows] = np.arange(rows.sum())[::-1]
         gone = rows_of_label[np.argsort(age, kind="stable")[most:]]
         return self.of_rows(~np.isin(np.arange(len(self)), gone))
-
-    def replaced(self, other: Self) -> Self:
-        """Return this with the other's touches in place of those of its labels."""
-        return self.without(other.classes.tolist()).plus(other)
 
 
 class Nearest:

@@ -239,8 +239,7 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         """
         # It goes on by what was learnt when it began, whatever is learnt meanwhile.
         now = copy(self)
-        model = now.belief_model()
-        return Belief(model, now.evidence, model.log_prior_of(prior), strangers)
+        return Belief(now.belief_model(), now.evidence, prior, strangers)
 
     def episode(
         self,
@@ -327,12 +326,9 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         ones.
         """
         now = copy(self)
-        rows = now.left_out_rows
-        counted = ~now.memory_.nothing[rows] | now.uses_no_contact_
-        best = now.left_out_log_likelihood()[counted].argmax(axis=1)
-        truth = np.searchsorted(now.classes_, now.memory_.labels[rows[counted]])
+        log_likelihood, truth = now._left_out_with_contact()
         columns = np.arange(len(now.classes_))
-        counts = confusion_matrix(truth, best, labels=columns)
+        counts = confusion_matrix(truth, log_likelihood.argmax(axis=1), labels=columns)
         return draw_confusion(counts, now._names(), ax)
 
     def object_quality(self) -> list[dict[str, Any]]:
@@ -343,12 +339,11 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         not so many; `taken_for`, the most frequent wrong answer to one touch, or None.
         """
         now = copy(self)  # another thread may learn meanwhile
-        log_likelihood = with_floor(now.left_out_log_likelihood(), now.floor_)
-        labels, names = now.memory_.labels[now.left_out_rows], now._names()
-        with_contact = now.uses_no_contact_ | ~now.memory_.nothing[now.left_out_rows]
+        log_likelihood, codes = now._left_out_with_contact()
+        log_likelihood, names = with_floor(log_likelihood, now.floor_), now._names()
         rng, result = np.random.default_rng(0), []
         for code, name in enumerate(names):
-            rows = np.flatnonzero((labels == now.classes_[code]) & with_contact)
+            rows = np.flatnonzero(codes == code)
             best = log_likelihood[rows].argmax(axis=1)
             answers = np.bincount(best, minlength=len(names))
             right, answers[code] = answers[code], 0

@@ -2,7 +2,8 @@
 
 Some training touches are seen again as in invented sessions, each of which changes all
 of them alike. How their features differ is weighed down for a second set of machines;
-how far those count is found out (`_rehearsed.py`).
+how far those are trusted beside the first is told by touches left out: as they are, and
+as in the invented sessions.
 """
 
 from __future__ import annotations
@@ -10,19 +11,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._numbers import evenly_rounded, log_softmax
-from .._types import Array, Floats, Indices
+from .._types import Array, Bools, Floats, Indices
 from ..classifiers import EncodingPool, KernelRidgeClassifier
 from ..touches import Touches, TouchSource
 from . import _sessions
 from ._encoder import Encoder, TouchEncoder
 from ._learning import as_rested, shown_rows, touches_of
 from ._memory import Memory
-from ._rehearsed import Drawn, halves, rehearsed
 
 # At most so many touches are seen again in so many invented sessions, of few as many as
 # make this many times the training touches: encoding them is what rehearsal costs.
@@ -30,6 +30,10 @@ N_TOUCHES, N_SESSIONS, SEEN_AGAIN = 120, 3, 2
 # What may be believed of what one confirmed touch tells of a session; a log loss (nats)
 # that is larger by less than this costs nothing.
 TRUSTS, NO_COST = (1 / 4, 1 / 2, 1.0), 0.05
+# A smaller share changes next to nothing, and would double the work of each touch.
+LEAST_SHARE = 0.1
+# Machines that are asked about invented sessions learn at most so many touches.
+_AT_MOST = 500
 # No feature moves by more than this, in standard deviations of the training touches.
 FARTHEST = 10.0
 # Pads and pictures whose zero wanders do so smoothly, over this share of their side.
@@ -69,6 +73,18 @@ RANGES = {
 CHANGES = {"shifts": "shift", "gain": "gain"}
 
 
+class Drawn(NamedTuple):
+    """Touches in invented sessions: features (n_sessions, n_drawn, n_features).
+
+    The first session is that of training, of the training touches `rows` (n_drawn,).
+    Of the others the first `n_weighing` tell the share, all of them where it is None.
+    """
+
+    features: Floats
+    rows: Indices
+    n_weighing: int | None = None
+
+
 def rehearse(
     pool: EncodingPool,
     encoder: TouchEncoder,
@@ -88,7 +104,7 @@ def rehearse(
     if KernelRidgeClassifier.learns_by_landmarks(len(memory), len(memory.classes)):
         return pool, {"share": 0.0, "why": "too much was taught at once"}
     rows = _rows(memory)
-    shown = touches_of(as_rested(encoder, touches), rows)
+    shown = touches_of(as_rested(encoder, touches, encoder.baseline_), rows)
     drawn = draw_sessions(encoder, shown, ranges, memory, rows, seed)
     n_drawn, _, n_features = drawn.features.shape
     away = drawn.features - drawn.features.mean(axis=0)
@@ -96,9 +112,8 @@ def rehearse(
     parts = _sessions.Parts(np.cumsum([0, *encoder.parts_.values()]))
     weighing = _sessions.weighed_down(differences, memory.features, parts)
     sessions_known = "sessions" in memory.units[1]
-    taught = memory.features, memory.labels, memory.blocks
     moved = _and_confirmed(drawn, memory, parts)
-    pool, share, of_all = rehearsed(pool, *taught, weighing, moved, sessions_known)
+    pool, share, of_all = _rehearsed(pool, memory, weighing, moved, sessions_known)
     right, confirmed = np.split(of_all, [N_SESSIONS + 1])
     report: dict[str, Any] = {
         "share": share,
@@ -117,6 +132,119 @@ def rehearse(
         replays = [*_replays(pool, memory, drawn, parts, seed)]
         report["trust"] = _trust_in_one(replays)
     return pool, report
+
+
+def _rehearsed(
+    pool: EncodingPool,
+    memory: Memory,
+    weighing: Floats,
+    drawn: Drawn,
+    sessions_known: bool,
+) -> tuple[EncodingPool, float, Floats]:
+    """Return a pool whose machines know invented sessions too, and how far they count.
+
+    The plain pool where they count for nothing. Also which share of touches, learnt
+    from half of them, is recognised as they are and in each session (n_sessions + 1,).
+
+    `weighing` (n_features, n_features) weighs down how the `drawn` sessions differ,
+    part by part. Where the blocks are whole sessions, or persons (`sessions_known`),
+    these tell the share, else invented sessions do as well, and count half. It is that
+    of the weights of least log loss; a priori both count alike, with a standard
+    deviation as large (`EncodingPool.best_weights`).
+    """
+    X, y, groups = memory.features, memory.labels, memory.blocks
+    weighed = EncodingPool(pool.parts, pool.machine, together=pool.together)
+    weighed.fit(X @ weighing, y, groups=groups)
+    codes = np.searchsorted(pool.classes_, y)
+    rows = pool.left_out_rows
+    left_out = np.stack([pool.left_out_, weighed.left_out_])
+    label_codes, n_ordinary = codes[rows], len(rows)
+    of_drawn, is_asked = _answers_of_drawn(pool, weighed, memory, weighing, drawn)
+    drawn_codes = codes[drawn.rows]
+    if not sessions_known and is_asked.any():
+        # As many of each kind, in turn.
+        invented = of_drawn[:, 1:][:, : drawn.n_weighing, is_asked]
+        names = np.tile(drawn_codes[is_asked], invented.shape[1])
+        invented = invented.reshape(2, -1, of_drawn.shape[3])
+        n_each = min(n_ordinary, len(names))
+        sampled, others = (evenly_rounded(n, n_each) for n in (n_ordinary, len(names)))
+        left_out = np.concatenate([left_out[:, sampled], invented[:, others]], axis=1)
+        label_codes = np.concatenate([label_codes[sampled], names[others]])
+    finite = np.isfinite(left_out).all(axis=(0, 2))
+    bounded = np.maximum(left_out[:, finite], -30.0)
+    weights = EncodingPool.best_weights(bounded, label_codes[finite])
+    share = float(weights[1] / max(weights.sum(), 1e-12))
+    if share < LEAST_SHARE:
+        share = 0.0
+    mixed = (1 - share) * of_drawn[0] + share * of_drawn[1]
+    is_right = (mixed.argmax(axis=-1) == drawn_codes)[:, is_asked]
+    right = is_right.mean(axis=1) if is_asked.any() else np.full(len(is_right), np.nan)
+    if share:
+        pool = pool.beside(weighed, weighing, share, codes[rows], groups[rows])
+    return pool, share, right
+
+
+def _answers_of_drawn(
+    pool: EncodingPool,
+    weighed: EncodingPool,
+    memory: Memory,
+    weighing: Floats,
+    drawn: Drawn,
+) -> tuple[Floats, Bools]:
+    """Return what both pools say of drawn touches whose group they have not learnt.
+
+    Shape (2, n_sessions, n_drawn, n_classes), of machines that learnt one half of each
+    label's groups, with the choices made for all; and which touches could be asked.
+    """
+    n_sessions, n_drawn, n_features = drawn.features.shape
+    answers = np.zeros((2, n_sessions, n_drawn, len(pool.classes_)))
+    is_asked = np.zeros(n_drawn, dtype=bool)
+    for learnt, left_out in _halves(memory, drawn.rows):
+        rows = np.isin(np.arange(n_drawn), left_out)
+        is_asked |= rows
+        labels, groups = memory.labels[learnt], memory.blocks[learnt]
+        test_features = drawn.features[:, rows].reshape(-1, n_features)
+        for kind, (machines, matrix) in enumerate(((pool, None), (weighed, weighing))):
+            touches, others = memory.features[learnt], test_features
+            if matrix is not None:
+                touches, others = touches @ matrix, others @ matrix
+            refitted = copy(machines).refit(touches, labels, groups=groups)
+            columns = np.searchsorted(pool.classes_, refitted.classes_)
+            row = np.full((len(others), len(pool.classes_)), -30.0)
+            row[:, columns] = refitted.log_likelihood(others)
+            answers[kind][:, rows] = row.reshape(n_sessions, int(rows.sum()), -1)
+    return log_softmax(answers, axis=-1), is_asked
+
+
+def _halves(memory: Memory, drawn: Indices) -> Iterator[tuple[Indices, Indices]]:
+    """Yield touches to learn, of half of each label's groups, and to ask of the rest.
+
+    Those are some of the touches `drawn`, by their place in it, of labels that are
+    learnt; nothing where fewer than two labels are, or none can be asked.
+    """
+    y, groups = memory.labels, memory.blocks
+    half = np.zeros(len(y), dtype=np.intp)
+    for name in np.unique(y):
+        of_label = y == name
+        half[of_label] = np.unique(groups[of_label], return_inverse=True)[1] % 2
+    for k in range(2):
+        learnt = _thinned(np.flatnonzero(half != k), y)
+        left_out = (half[drawn] == k) & np.isin(y[drawn], y[learnt])
+        if len(np.unique(y[learnt])) > 1 and left_out.any():
+            yield learnt, np.flatnonzero(left_out)
+
+
+def _thinned(rows: Indices, y: Array) -> Indices:
+    """Return at most so many rows, of each label its share, at least four."""
+    if len(rows) <= _AT_MOST:
+        return rows
+    kept = []
+    for name in np.unique(y[rows]):
+        of_label = rows[y[rows] == name]
+        count = len(of_label)
+        n_kept = min(count, max(4, round(count * _AT_MOST / len(rows))))
+        kept.append(of_label[evenly_rounded(count, n_kept)])
+    return np.sort(np.concatenate(kept))
 
 
 def _seen_by(encoder: TouchEncoder, ranges: Ranges) -> Ranges:
@@ -190,7 +318,7 @@ def _replays(
 ) -> Iterator[_Replay]:
     """Yield each rehearsed session twice, asked of machines that learnt one half."""
     rng = np.random.default_rng(seed)
-    for learnt, left_out in halves(memory.labels, memory.blocks, drawn.rows):
+    for learnt, left_out in _halves(memory, drawn.rows):
         taught = memory.features[learnt], memory.labels[learnt], memory.blocks[learnt]
         refitted = copy(pool).refit(*taught)
         codes = np.searchsorted(refitted.classes_, taught[1])

@@ -61,10 +61,8 @@ def remounted(
                 "not learnt. Remount first, then add it with add_object; or leave the "
                 "labels out to remount without them."
             )
-        # Each more object tells of the session by itself.
-        trust = 1 - (1 - trust) / len(np.unique(labels))
-    else:
-        trust = 1.0
+    # Each more object tells of the session by itself.
+    trust = 1.0 if labels is None else 1 - (1 - trust) / len(np.unique(labels))
     encoder, gain = _as_taught(learnt, new, labels, trust)
     other_kind = new.images.shape[1:] != tuple(learnt.encoder.image_shape_)
     contact = learnt.contact

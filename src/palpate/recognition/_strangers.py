@@ -154,10 +154,6 @@ class StrangerModel:
         nats = self.low_curve.at(lowest, best) + self.high_curve.at(above)
         return np.where(count > 0, nats + _RANKING * above, 0.0)
 
-    def category_evidence(self, score: Floats, doubt: Floats) -> Floats:
-        """Return the evidence that the best category is wrong (nats), shape (...,)."""
-        return self.low_category_curve.at(log_level(score, doubt))
-
     def threshold(self, n_touches: int) -> float:
         """Return the evidence (nats) that one known episode in twenty exceeds then."""
         return float(self.exceeded[min(max(n_touches, 1), len(self.exceeded)) - 1])
