@@ -492,8 +492,8 @@ def _explained(
     rows = orders[number % len(orders), : int(end.touches[number])]
     answer = str(answers_of(episodes, end, classes)[number])
     evidence = Evidence.together([*map(of_all.of_touch, rows.tolist())])
-    asked, right = (rows, touches[rows], evidence), bool(end.right[number])
-    return Explained(trial, name, truth, *asked, answer, right, is_stranger)
+    of_episode, right = (rows, touches[rows], evidence), bool(end.right[number])
+    return Explained(trial, name, truth, *of_episode, answer, right, is_stranger)
 
 
 def _episode(explained: Explained, decision: dict[str, Any]) -> str:
