@@ -31,8 +31,8 @@ PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
 .PHONY: demo test test-all test-oldest test-newest test-bare test-everywhere check check-lerobot check-look check-clients check-page format fuzz mutants bench policy docs linkcheck dist clean
 
 demo: $(VENV)/.demo-installed
+	@echo "To go on afterwards, type once in this shell, so that it finds palpate: . $(BIN)/activate"
 	@$(BIN)/palpate demo $(if $(PALPATE_DATA),--real)
-	@echo "To go on, type once in this shell, so that it finds palpate: . $(BIN)/activate"
 
 test: check
 	$(ONE_THREAD) $(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow"

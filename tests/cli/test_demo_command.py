@@ -94,3 +94,10 @@ def test_real_pictures_leave_two_objects_unknown(palpate, data_folder, tmp_path)
     assert answer["n_labels"] == 8
     assert len(answer["episodes"]) == 10
     assert answer["unknown_auroc"]["10"] > 0.8
+
+
+def test_make_demo_ends_with_what_the_demo_prints_last():
+    """That is the path of the report; what else is to be said comes before."""
+    recipe = (Path(__file__).parents[2] / "Makefile").read_text("utf-8")
+    lines = recipe.partition("\ndemo:")[2].partition("\n\n")[0].splitlines()
+    assert lines[-1].startswith("\t@$(BIN)/palpate demo")
