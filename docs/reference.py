@@ -87,7 +87,7 @@ def name_of(value: object) -> object:
 def shared() -> str:
     """Return the page of what subpackages share beside their public names."""
     users = users_of_names()
-    parts = ["# What subpackages share\n", ABOUT_SHARED]
+    parts = ["# Names for other subpackages\n", ABOUT_SHARED]
     for subpackage in SUBPACKAGES:
         module = import_module(f"palpate.{subpackage}")
         rows = [
