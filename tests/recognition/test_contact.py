@@ -181,6 +181,20 @@ def test_an_array_is_pressed_from_three_hundredths_of_a_middling_touch(
     assert touch_flags == ["no contact", "", ""]
 
 
+@pytest.mark.parametrize("geometry", ["array", "none"])
+@pytest.mark.parametrize("known", [True, False])
+def test_touches_are_seen_from_their_own_frame_where_changes_were_learnt(
+    check, geometry, known
+):
+    """Else what was learnt is large by the levels of rest, and changes look faint."""
+    frame, other = np.full((2, 9, 20), 5000.0) + np.eye(9, 20) * [[[1]], [[900]]]
+    about = {"geometry": geometry, "no_contact": frame if known else None}
+    learnt = check(frame + pressed(), **about)
+    asked = other + np.concatenate([pressed(seed=1), np.zeros((1, 9, 20))])
+    expected = [""] * 24 + ["no contact" if known else ""]
+    assert flags(learnt, asked, no_contact=other) == expected
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.uint16, np.float16])
 def test_whole_numbers_are_compared_with_rest_as_floats_are(check, dtype):
     images = (pressed() + 3).astype(dtype)
@@ -279,7 +293,10 @@ def test_fewer_than_eight_taxels_a_side_show_no_two_things(check, side, tells):
     images[:, 2:5, 2:5] = 100 + np.arange(24)[:, None, None]
     for turned in (images, np.swapaxes(images, 1, 2)):
         assert check(turned, geometry="array").tells_double_ == tells
-        assert not check(turned, geometry="plane").tells_double_
+        for geometry in ("plane", "none"):
+            rest = np.zeros(turned.shape[1:])
+            other = check(turned, geometry=geometry, no_contact=rest)
+            assert not other.tells_double_
 
 
 class Sighted:

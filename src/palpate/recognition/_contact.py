@@ -74,8 +74,12 @@ class ContactCheck(BaseEstimator):
         are not blind, and to those that are; NaN where they do not tell it.
     pads_ : ndarray of shape (n_pads, 4) or None
         Boxes of the taxels that count (see `Touches`); None where all do.
+    knows_rest_ : bool
+        Whether sizes are of changes from a frame of no contact, so that touches may
+        have another one; False in older model files.
     """
 
+    knows_rest_: bool = False
     pads_: Array | None = None
     tells_double_: bool = True
     blind_: Bools | None = None
@@ -95,6 +99,7 @@ class ContactCheck(BaseEstimator):
                 self.idle_, self.kind_ = encoder.clean(idle)[0], "camera"
         elif frame is not None or geometry == "array":
             self.kind_ = "plane" if geometry == "plane" else "array"
+            self.knows_rest_ = frame is not None
             if frame is not None:
                 self.idle_ = living(np.asarray(frame)[np.newaxis], self.pads_)[0]
             measure = self._change if self.kind_ == "array" else self._unlikeness
@@ -107,7 +112,7 @@ class ContactCheck(BaseEstimator):
         self.limits_ = (np.nan if self.kind_ == "array" else low, high)
         self.at_limit_ = float(np.quantile(self._share_at_limit(touches), 0.99))
         self.tells_double_ = False
-        if self.kind_ == "array" and min(self.idle_.shape[:2]) >= LEAST_SIDE:
+        if geometry == "array" and min(self.idle_.shape[:2]) >= LEAST_SIDE:
             spread = evenly_spaced(len(touches), LOOKED_AT)
             self.tells_double_ = bool(self._double(touches[spread]).mean() < RARE)
         return self
@@ -187,7 +192,7 @@ class ContactCheck(BaseEstimator):
 
     def _rest(self, touches: Touches) -> Array:
         """Return what touching nothing looks like: the touches' own frame, or ours."""
-        frame = touches.no_contact
+        frame = touches.no_contact if self.knows_rest_ else None
         if frame is None or frame.shape != self.idle_.shape:
             return self.idle_
         return np.asarray(living(np.asarray(frame)[np.newaxis], self.pads_)[0])
