@@ -4,8 +4,8 @@
     PYTHONPATH=OTHER/src python benchmarks/rests.py ...    # another checkout's code
 
 Simulated: of each draw three days and more touches of the first one. Learnt from the
-first day, the same day and the second are asked; from a library of the first two, the
-third. Beside `default` an SVM on touches less their day's frame, one on touches as they
+first day, the same day and the second are asked, this also with the first one's frame
+in place of its own; from a library of the first two, the third. Beside `default` an SVM on touches less their day's frame, one on touches as they
 are read, and one on brightness alone. Prints rows of Markdown: % right after one touch,
 log loss (nats), and their standard deviation over the draws FIRST to LAST - 1.
 """
@@ -155,6 +155,11 @@ def of_draw(day: Day, draw: int) -> dict[str, list[float]]:
     asked = {
         "the same day": (alone, days[:1], day(draw, 0, 3)),
         "another day": (alone, days[:1], days[1]),
+        "another day, without its frame": (
+            alone,
+            days[:1],
+            days[1].with_columns(no_contact=days[0].no_contact),
+        ),
         "a third day": (both, days[:2], days[2]),
     }
     return {

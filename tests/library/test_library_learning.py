@@ -58,7 +58,7 @@ def test_of_several_baselines_of_an_array_the_newest_is_taken(library):
     assert "log_loss" not in held.chosen_
 
 
-@pytest.mark.parametrize(("geometry", "share"), [("array", 0.9), ("plane", 0.6)])
+@pytest.mark.parametrize(("geometry", "share"), [("array", 0.9), ("none", 0.6)])
 def test_each_recording_is_seen_from_its_own_rest(library, geometry, share):
     """Taxels rest at other levels each day, as where an array is unplugged."""
 

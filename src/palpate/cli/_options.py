@@ -468,9 +468,9 @@ class Reading:
             return self._recording(path, kind, topic, quiet=quiet)
         with self.selection(path) as chosen:
             touches: Touches = chosen.touches()
-            # As learning sees them: each recording from its own frame.
+            # As learning sees them: taxels of each recording from their own frame.
             frame = chosen.no_contact if touches.no_contact is None else None
-            if frame is not None and find_geometry(touches) != "dome":
+            if frame is not None and find_geometry(touches) in ("array", "none"):
                 touches = chosen.resting_at(frame).touches()
             return touches
 

@@ -97,7 +97,7 @@ def learn_encoding(
     # What it takes a search for rims to know is found out once.
     geometry = find_geometry(shown)
     shown = shown.with_columns(**kept, geometry=geometry)
-    lacks_rest = geometry != "dome" and shown.no_contact is None
+    lacks_rest = geometry in ("array", "none") and shown.no_contact is None
     if lacks_rest and (newest := touches.no_contact) is not None:
         # Levels that taxels rest at are mostly theirs: it serves earlier sessions too.
         shown = shown.with_columns(no_contact=newest)

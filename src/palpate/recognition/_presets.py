@@ -190,8 +190,9 @@ def _default_encoders(
 ) -> dict[str, TouchEncoder]:
     """One encoder of all encodings that the presentation allows.
 
-    Where it is known how the sensor rests, of what changes, unless they are to take
-    images `as_read`: levels of rest, a gel's texture and light are those of the day.
+    Where it is known at what levels taxels rest, of what changes, unless they are to
+    take images `as_read`: levels of rest are those of the day. Not of a gel or pins:
+    less the frame of another day, their pictures show the edges of both.
     """
     geometry = find_geometry(touches)
     if geometry == "dome":
@@ -215,7 +216,7 @@ def _default_encoders(
         "array": ("whole picture", _array_encodings),
         "plane": ("whole picture", _plane_encodings),
     }[geometry]
-    as_changes = rest is not None and not as_read
+    as_changes = rest is not None and geometry != "plane" and not as_read
     if as_changes:
         name, rest = "change from rest", np.zeros_like(rest)
     encoder = TouchEncoder(None, encodings(touches, rest), as_changes=as_changes)
