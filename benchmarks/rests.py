@@ -5,9 +5,10 @@
 
 Simulated: of each draw three days and more touches of the first one. Learnt from the
 first day, the same day and the second are asked, this also with the first one's frame
-in place of its own; from a library of the first two, the third. Beside `default` an SVM on touches less their day's frame, one on touches as they
-are read, and one on brightness alone. Prints rows of Markdown: % right after one touch,
-log loss (nats), and their standard deviation over the draws FIRST to LAST - 1.
+in place of its own; from a library of the first two, the third. Beside `default` an SVM
+on touches less their day's frame, one on touches as they are read, and one on
+brightness alone. Prints rows of Markdown: % right after one touch, log loss (nats), and
+their standard deviation over the draws FIRST to LAST - 1.
 """
 
 import sys
