@@ -9,8 +9,7 @@ palpate` is cheap.
 
 import lazy_loader
 
-from ._version import __version__
-
+__version__ = "0.2.0"
 __getattr__, _names, _ = lazy_loader.attach_stub(__name__, __file__)
 
 __all__ = [

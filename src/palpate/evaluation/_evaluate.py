@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from .._checks import listed
+from .._numbers import n_touches_of
 from .._parallel import in_parallel
 from .._types import Array, Floats
-from .._words import n_touches_of
 from ..recognition import Evidence, ObjectRecogniser, left_out_groups
 from ..touches import Touches
 from ._comparisons import (

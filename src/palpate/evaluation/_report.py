@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._durable import write_text
-from .._numbers import evenly_spaced, units_needed
+from .._numbers import about, evenly_spaced, n_touches_of, units_needed
 from .._page import (
     as_shown,
     check_report_path,
@@ -22,7 +22,6 @@ from .._page import (
     worded,
 )
 from .._types import Bools, Indices
-from .._words import about, n_touches_of
 from ..recognition import Evidence, sessions_message
 from ..touches import Touches
 from . import plots

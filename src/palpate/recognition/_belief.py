@@ -17,9 +17,8 @@ from .._checks import (
     check_option,
     check_strangers,
 )
-from .._numbers import log_softmax, with_floor
+from .._numbers import log_softmax, n_touches_of, share_of, with_floor
 from .._types import Array, Floats
-from .._words import n_touches_of, share_of
 from ..touches import Touches
 from . import _evidence, _strangers
 from ._evidence import NO_CONTACT, Evidence

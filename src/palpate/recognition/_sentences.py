@@ -19,8 +19,8 @@ import numpy as np
 
 from .._checks import listed
 from .._extras import needed
+from .._numbers import about, n_touches_of, share_of
 from .._types import Indices
-from .._words import about, n_touches_of, share_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
