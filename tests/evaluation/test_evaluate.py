@@ -13,12 +13,13 @@ from palpate import Touches
 from palpate.cli._output import answer
 from palpate.evaluation import (
     Plan,
+    _report,
     evaluate,
     explained_episodes,
-    plots,
     summary,
     write_report,
 )
+from palpate.evaluation._report import whole_ticks
 
 from .conftest import drawn, often_idle
 
@@ -367,9 +368,9 @@ def test_calibration_is_told_before_and_after():
 
 
 def test_ticks_are_whole_round_and_few():
-    assert plots.whole_ticks(5) == [1, 2, 3, 4, 5]
-    assert plots.whole_ticks(20) == [1, 5, 10, 15, 20]
-    assert all(len(plots.whole_ticks(n)) <= 8 for n in range(2, 400))
+    assert whole_ticks(5) == [1, 2, 3, 4, 5]
+    assert whole_ticks(20) == [1, 5, 10, 15, 20]
+    assert all(len(whole_ticks(n)) <= 8 for n in range(2, 400))
 
 
 @pytest.mark.slow
@@ -394,7 +395,9 @@ def test_how_often_an_object_was_taught_is_no_nuisance_of_the_sensor(
     pytest.importorskip("matplotlib", reason='needs the extra "plot"')
     drawn_shares = []
     monkeypatch.setattr(
-        plots, "confusion_plot", lambda shares, names: drawn_shares.append(shares) or ""
+        _report,
+        "confusion_plot",
+        lambda shares, names: drawn_shares.append(shares) or "",
     )
     write_report(tmp_path / "r.html", figures, trials)
     np.testing.assert_allclose(drawn_shares[0].sum(axis=1), 1)

@@ -1,6 +1,5 @@
 """How well it recognises: splits, figures, nuisance controls and reports."""
 
-from . import plots as plots
 from ._benchmark import benchmark
 from ._benchmark import benchmark_summary as benchmark_summary
 from ._benchmark import write_benchmark as write_benchmark
