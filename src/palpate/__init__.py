@@ -9,7 +9,8 @@ palpate` is cheap.
 
 import lazy_loader
 
-__version__ = "0.2.0"
+from ._version import __version__
+
 __getattr__, _names, _ = lazy_loader.attach_stub(__name__, __file__)
 
 __all__ = [

@@ -16,8 +16,8 @@ from typing import Any, Self
 
 from threadpoolctl import ThreadpoolController
 
-from . import __version__
 from ._extras import needed
+from ._version import __version__
 
 _PATIENCE_S = 2.0  # what ends sooner needs no bar
 

@@ -1,0 +1,3 @@
+"""The version of palpate."""
+
+__version__ = "0.2.0"
