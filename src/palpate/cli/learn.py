@@ -106,7 +106,7 @@ def learn(
         f"{counted(learnt['n_train_touches'])}, saved as {written}{replaces}.",
         *few,
         *_without_contact(recogniser),
-        *recognition.few_objects_warning(learnt["n_labels"], learnt["label"]),
+        recogniser.limits_message(of_touches=False) or None,
         recognition.sessions_message(across),
         " ".join(f"{detail[0].upper()}{detail[1:]}." for detail in details),
     )

@@ -1,4 +1,4 @@
-"""The shape of a press, apart from its place and angle: moments, pads, size and outline.
+"""The shape of a press, apart from place and angle: moments, pads, size and outline.
 
 Patterns of `CentroidMoments` are Gauss-Laguerre functions, waves around the centroid
 under a Gaussian window whose width is tied to the array. They are orthonormal on the

@@ -17,7 +17,7 @@ from .._checks import listed
 from .._numbers import n_touches_of
 from .._parallel import in_parallel
 from .._types import Array, Floats
-from ..recognition import Evidence, ObjectRecogniser, left_out_groups
+from ..recognition import Evidence, ObjectRecogniser
 from ..touches import Touches
 from ._comparisons import (
     CONTROLS,
@@ -297,10 +297,8 @@ def _controls(
     """Return the accuracy of each nuisance control; None where it has no cause."""
     train, test, recogniser = trial.fold.train, trial.fold.test, trial.recogniser
     # Confirmed touches of the test session come after those of training.
-    of_train = slice(len(train))
-    taught = recogniser.memory_.labels[of_train]
-    whose = recogniser.memory_.objects[of_train]
-    groups = left_out_groups(train, taught, whose, plan.label)
+    taught = recogniser.memory_.labels[: len(train)]
+    groups = recogniser.left_out_groups(train)
     even = _evenly(taught, labels, plan.seed)
 
     def curve(rows: Floats, which: Any = slice(None)) -> dict[str, float]:

@@ -77,6 +77,16 @@ class BeliefModel:
     other_session: bool = False
     uses_no_contact: bool = False
 
+    def after_each(
+        self, floored: Floats, by_encoding: Floats, log_distances: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return log posteriors and the evidence for a stranger after each touch.
+
+        Of episodes, whose log-likelihoods have their floor; see `episode_evidence`.
+        """
+        how = self.log_prior, self.sequence_calibration, self.strangers
+        return _strangers.episode_evidence(floored, by_encoding, log_distances, *how)
+
 
 class Belief:
     """The probability of each learnt object, and of none of them, touch by touch.

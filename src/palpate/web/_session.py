@@ -17,7 +17,7 @@ from .._checks import STRANGERS, check_number, check_strangers
 from .._durable import replacing
 from .._types import Array
 from ..exploration import SurfaceMap
-from ..recognition import Evidence, ObjectRecogniser, teaching_advice
+from ..recognition import Evidence, ObjectRecogniser
 from ..sensors import (
     ContactError,
     DetectedTouch,
@@ -217,11 +217,14 @@ class LiveSession:
     @property
     def advice(self) -> list[str]:
         """What to teach next, in sentences, as lessons and learning tell."""
-        verdicts = {} if self.teacher is None else self.teacher.verdicts
-        sentences = [self.alarm, *verdicts.values(), *teaching_advice(self._quality)]
-        memory = None if self.recogniser is None else self.recogniser.memory_
-        if self.watch is not None and memory and len(np.unique(memory.sessions)) == 1:
-            sentences.append(ONE_SESSION)
+        sentences = [self.alarm]
+        if self.teacher is not None:
+            sentences += self.teacher.verdicts.values()
+        if (recogniser := self.recogniser) is not None:
+            sentences += recogniser.teaching_advice(self._quality)
+            sessions = np.unique(recogniser.memory_.sessions)
+            if self.watch is not None and len(sessions) == 1:
+                sentences.append(ONE_SESSION)
         return [sentence for sentence in sentences if sentence]
 
     def post_touch(
