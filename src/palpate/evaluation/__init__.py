@@ -1,8 +1,6 @@
 """How well it recognises: splits, figures, nuisance controls and reports."""
 
 from ._benchmark import benchmark
-from ._benchmark import benchmark_summary as benchmark_summary
-from ._benchmark import write_benchmark as write_benchmark
 from ._comparisons import brightness as brightness
 from ._comparisons import control_log_likelihood as control_log_likelihood
 from ._comparisons import named_alone as named_alone
