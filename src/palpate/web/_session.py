@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -35,6 +35,9 @@ from ._learning import (
 )
 from ._sensor_watch import Event, Health, Listeners, SensorWatch
 from ._teaching import MOST_PER_LESSON, Teacher
+
+if TYPE_CHECKING:
+    from ._ros import RosPublisher
 
 LONGEST_EPISODE = 1000
 ONE_SESSION = (
@@ -254,6 +257,23 @@ class LiveSession:
         with self._changing():
             checked = self._checked(image)
             return self._teacher().store(name, *checked, self.baseline, place)
+
+    def publish(self, address: str) -> "RosPublisher":
+        """Publish beliefs, and do what is asked, on ROS 2 until the result is closed.
+
+        `address` is `ros:PREFIX?domain=0&via=dds`: the prefix of all names, and where;
+        `&services=no` offers none, for a node that does.
+
+        Raises
+        ------
+        AddressError
+            The address is none.
+        SensorError
+            The network is not there.
+        """
+        from ._ros import RosPublisher
+
+        return RosPublisher(self, address)
 
     def view_from_above(self) -> dict[str, Any]:
         """Return what the places of the episode's touches tell; see `TopView`."""
