@@ -8,7 +8,6 @@ from ._comparisons import without_contact as without_contact
 from ._evaluate import evaluate
 from ._evaluate import few_touches as few_touches
 from ._report import explained_episodes as explained_episodes
-from ._report import summary as summary
 from ._report import write_report
 from ._splits import split_by_count as split_by_count
 from ._splits import split_touches

@@ -27,6 +27,7 @@ from ._comparisons import (
     without_contact,
 )
 from ._episodes import Episodes, run_episodes
+from ._report import Figures
 from ._splits import (
     SPLITS,
     VISITS,
@@ -75,7 +76,7 @@ def evaluate(
     unknown: Touches | None = None,
     plan: Plan | None = None,
     progress: Progress = silent,
-) -> tuple[dict[str, Any], list[Trial]]:
+) -> tuple[Figures, list[Trial]]:
     """Learn, recognise and score.
 
     Parameters
@@ -98,7 +99,8 @@ def evaluate(
     -------
     figures : dict
         Plain values, ready for JSON. `accuracy_sd` is the spread over objects,
-        over folds where there are several.
+        over folds where there are several. `summary()` yields what they say to people:
+        sentences, and tables as (title, columns, lines of text).
     trials : list of Trial
         One per fold, for `write_report`.
 
@@ -147,7 +149,7 @@ def evaluate(
         progress(f"{len(folds)} folds")
         tasks = [(fold, unknown, plan, silent) for fold in folds]
         trials = in_parallel(_run, tasks, "Folds", show=False)
-    figures = figures_of(trials, plan, split)
+    figures = Figures(figures_of(trials, plan, split))
     if split in ("between", "last") and recorded_order(train) is None:
         figures["notes"].append(_UNORDERED)
     figures["verdict"] = verdict(figures)

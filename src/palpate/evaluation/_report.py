@@ -66,6 +66,39 @@ class Explained(NamedTuple):
     is_stranger: bool
 
 
+class Figures(dict[str, Any]):
+    """What `evaluate` returns: plain values, ready for JSON, and what they say."""
+
+    def summary(self) -> Iterator[str | TextTable]:
+        """Yield what figures say to people: sentences, and tables to be drawn."""
+        title = (
+            f"{self['preset']}: {self['n_labels']} {self['label']} labels, "
+            f"{self['n_train_touches']} training and {self['n_test_touches']} test "
+            f"touches, chance {100 * self['chance']:.3g} %"
+        )
+        if self["remount"] != "none":
+            title += f", remount {self['remount']}"
+        yield self["verdict"]
+        yield title, _columns(self), _figure_lines(self)
+        yield from self["notes"]
+        for sentence in self["chosen"].get("found", ()):
+            yield f"From the training touches: {sentence}."
+        for flag, share in self["flags"].items():
+            yield f"Flagged as {flag!r}: {as_text(share, 100)} % of the test touches."
+        yield _decision_table(self)
+        yield from _strangers_answers(self)
+        yield _bound(self)
+        yield from as_good_alone(self)
+        if other_day := _other_day(self):
+            yield other_day
+        if gone := self["left_out"]:
+            names = ", ".join(gone[:5]) + (", ..." if len(gone) > 5 else "")
+            yield f"Left out, met in no other {self['split']}: {len(gone)} ({names})."
+        if todo := self["recommendations"]:
+            yield "What to do now:"
+            yield from (f"- {sentence}" for sentence in todo)
+
+
 def write_report(
     path: str | Path, figures: dict[str, Any], trials: Sequence[Trial]
 ) -> Path:
@@ -116,36 +149,6 @@ def _ends(figures: dict[str, Any]) -> str:
 def _recommended(sentences: Sequence[str]) -> str:
     lines = "".join(f"<li>{worded(sentence)}</li>" for sentence in sentences)
     return f"<h2>What to do now</h2><ul>{lines}</ul>" if lines else ""
-
-
-def summary(figures: dict[str, Any]) -> Iterator[str | TextTable]:
-    """Yield what figures say to people: sentences, and tables to be drawn."""
-    title = (
-        f"{figures['preset']}: {figures['n_labels']} {figures['label']} labels, "
-        f"{figures['n_train_touches']} training and {figures['n_test_touches']} test "
-        f"touches, chance {100 * figures['chance']:.3g} %"
-    )
-    if figures["remount"] != "none":
-        title += f", remount {figures['remount']}"
-    yield figures["verdict"]
-    yield title, _columns(figures), _figure_lines(figures)
-    yield from figures["notes"]
-    for sentence in figures["chosen"].get("found", ()):
-        yield f"From the training touches: {sentence}."
-    for flag, share in figures["flags"].items():
-        yield f"Flagged as {flag!r}: {as_text(share, 100)} % of the test touches."
-    yield _decision_table(figures)
-    yield from _strangers_answers(figures)
-    yield _bound(figures)
-    yield from as_good_alone(figures)
-    if other_day := _other_day(figures):
-        yield other_day
-    if gone := figures["left_out"]:
-        names = ", ".join(gone[:5]) + (", ..." if len(gone) > 5 else "")
-        yield f"Left out, met in no other {figures['split']}: {len(gone)} ({names})."
-    if todo := figures["recommendations"]:
-        yield "What to do now:"
-        yield from (f"- {sentence}" for sentence in todo)
 
 
 def _columns(figures: dict[str, Any]) -> list[str]:
