@@ -1,6 +1,7 @@
 """`palpate learn`: touches -> model file."""
 
 import re
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -114,15 +115,12 @@ def learn(
 
 def _few(training: "_options.Labelled", label: str) -> list[str]:
     """Return one line on labels of few touches, or none."""
-    import numpy as np
-
     from ..evaluation import few_touches
 
     labels = training.object if label == "object" else training.category
     if labels is None:
         return []
-    names, numbers = np.unique(labels, return_counts=True)
-    few = few_touches(dict(zip(names.tolist(), numbers.tolist(), strict=True)))
+    few = few_touches(Counter(sorted(labels.tolist())))
     return [f"{few[0].upper()}{few[1:]}."] if few else []
 
 
