@@ -8,6 +8,5 @@ from ._learning import remember_library as remember_library
 from ._serving import PageServer as PageServer
 from ._serving import create_app
 from ._session import LiveSession
-from ._teaching import teachable_name as teachable_name
 
 __all__ = ["LiveSession", "create_app"]

@@ -34,7 +34,7 @@ from ._learning import (
     start_learning,
 )
 from ._sensor_watch import Event, Health, Listeners, SensorWatch
-from ._teaching import MOST_PER_LESSON, Teacher
+from ._teaching import MOST_PER_LESSON, Teacher, teachable_name
 
 if TYPE_CHECKING:
     from ._ros import RosPublisher
@@ -225,8 +225,8 @@ class LiveSession:
             sentences += self.teacher.verdicts.values()
         if (recogniser := self.recogniser) is not None:
             sentences += recogniser.teaching_advice(self._quality)
-            sessions = np.unique(recogniser.memory_.sessions)
-            if self.watch is not None and len(sessions) == 1:
+            sessions = recogniser.memory_.sessions
+            if self.watch is not None and len(np.unique(sessions)) == 1:
                 sentences.append(ONE_SESSION)
         return [sentence for sentence in sentences if sentence]
 
@@ -293,6 +293,11 @@ class LiveSession:
         with self._changing():
             self.episode.open = False
             return self.episode.to_dict()
+
+    @staticmethod
+    def check_name(name: str) -> str:
+        """Return the name of an object as `teach` keeps it, or say what is wrong."""
+        return teachable_name(name)
 
     def teach(self, name: str, wanted: int, *, keep_episode: bool = False) -> None:
         """Store the next touches of the sensor as touches of an object.
