@@ -71,6 +71,9 @@ def check(
         stage("what is no touch")
         alone = {} if read is None or read.object is None else named_alone(read)
     odd = _odd(pictures)
+    notes = _notes(pictures, others, odd)
+    if read and pictures is None and (left := reading.left_aside(touches, read)):
+        notes.append(left)
     checked: dict[str, Any] = {
         "touches": str(touches),
         "problem": problem,
@@ -79,7 +82,7 @@ def check(
         "read_as": "" if read is None else reading.read_as(touches, read),
         "bad": [{**bad._asdict(), "fix": as_typed(bad.fix)} for bad in all_bad],
         "odd": odd,
-        "notes": _notes(pictures, others, odd),
+        "notes": notes,
         "objects": [] if read is None else _objects(read),
         "alone": alone,
     }

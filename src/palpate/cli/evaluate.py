@@ -94,7 +94,7 @@ def evaluate(
             training, testing, split=split, unknown=others, plan=plan, progress=stage
         )
         in_options(figures)
-        if left := reading.colour_left(train, training):
+        if left := reading.left_aside(train, training):
             figures["recommendations"].insert(0, f"{left[0].upper()}{left[1:]}.")
         if report is not None:
             stage(f"writing {report}")

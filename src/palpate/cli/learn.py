@@ -93,7 +93,7 @@ def learn(
     if kind != "library":
         how_read = (
             reading.read_as(touches, training),
-            reading.colour_left(touches, training),
+            reading.left_aside(touches, training),
         )
         sentences = [*sentences, *filter(None, how_read)]
     if recogniser.pose_:
