@@ -15,7 +15,7 @@ import pytest
 from palpate.library import (
     LibraryError,
     TouchLibrary,
-    _checking,
+    _upkeep,
     check_library,
     repair_library,
 )
@@ -317,7 +317,7 @@ def test_a_database_of_which_nothing_is_left_is_not_replaced(folder, damage):
 
 def test_a_check_is_of_what_there_was_when_it_began(folder, monkeypatch):
     """Another program that adds, renames and retracts meanwhile damages nothing."""
-    read, others = _checking.next_rows, ["pad", "pot"]
+    read, others = _upkeep._next_rows, ["pad", "pot"]
 
     def read_after_another(store, number):
         if number and others:
@@ -327,7 +327,7 @@ def test_a_check_is_of_what_there_was_when_it_began(folder, monkeypatch):
                 other.retract(ids, reason=f"wet {others.pop()}")
         return read(store, number)
 
-    monkeypatch.setattr(_checking, "next_rows", read_after_another)
+    monkeypatch.setattr(_upkeep, "_next_rows", read_after_another)
     for n_touches in (6, 7):
         with TouchLibrary.open(folder) as library:
             check = library.check() if len(others) == 2 else check_library(folder)

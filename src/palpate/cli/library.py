@@ -292,9 +292,9 @@ def migrate(
 
     One that was stopped goes on when it is called again.
     """
-    from ..library import migrate_library
+    from ..library import TouchLibrary
 
-    report = migrate_library(old, new)
+    report = TouchLibrary.migrate(old, new)
     lines = [f"{counted(report.n_touches)} in {new}; {old} is as it was."]
     if report.lost:
         lines.append(

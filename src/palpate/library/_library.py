@@ -21,9 +21,9 @@ from ._changes import (
     make_change,
     object_row,
 )
-from ._checking import CheckReport, check_library, check_store
 from ._content import id_bytes
 from ._exchange import export_touches
+from ._migrating import MigrationReport, migrate_library
 from ._reading import (
     IN_MEMORY,
     NO_LIMIT,
@@ -31,7 +31,6 @@ from ._reading import (
     newest_no_contact,
     sound_numbers,
 )
-from ._repairing import RepairReport, backup_library, repair_library
 from ._rows import (
     FROM,
     Numbers,
@@ -49,6 +48,14 @@ from ._store import (
     is_unicode,
     make_folder,
     warn_of_network,
+)
+from ._upkeep import (
+    CheckReport,
+    RepairReport,
+    backup_library,
+    check_library,
+    check_store,
+    repair_library,
 )
 from ._where import objects_named
 
@@ -120,6 +127,29 @@ class TouchLibrary:
     def is_library(folder: str | Path) -> bool:
         """Tell whether `folder` holds a library, even one whose database is lost."""
         return any((Path(folder) / name).is_file() for name in (FILE_NAME, COUNT_NAME))
+
+    @staticmethod
+    def migrate(
+        old: str | Path, new: str | Path, *, progress: bool | None = None
+    ) -> MigrationReport:
+        """Make a library of today of one of format 1 or 2, which stays as it is.
+
+        One that was stopped goes on where it was when it is called again.
+
+        Parameters
+        ----------
+        old, new : path
+            The old library, and a new or empty folder.
+        progress : bool, optional
+            Show a bar on standard error when it takes over two seconds; by default
+            where that is a terminal.
+
+        Raises
+        ------
+        LibraryError
+            `old` is no such library, `new` is not empty, or the disk is full.
+        """
+        return migrate_library(Path(old), Path(new), progress)
 
     def __enter__(self) -> Self:
         return self
