@@ -7,7 +7,6 @@ from ._adding import SensorDescription
 from ._adding import TouchRow as TouchRow
 from ._bags import is_recording as is_recording
 from ._bags import read_bag
-from ._changes import checked_name as checked_name
 from ._library import TouchLibrary
 from ._store import LibraryError
 from ._upkeep import check_library

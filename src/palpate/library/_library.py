@@ -91,6 +91,8 @@ class TouchLibrary:
     ['cup', 'pen']
     """
 
+    checked_name = staticmethod(checked_name)
+
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
         self._store = Store(self.folder)
