@@ -28,6 +28,7 @@ _VERBS = {
     "TouchLibrary.list": "palpate library list",
     "TouchLibrary.migrate": "palpate library migrate",
     "check_library": "palpate library check",
+    "TouchLibrary.repair_folder": "palpate library check --repair",
     "repair_library": "palpate library check --repair",
     "fetch": "palpate data fetch",
     "ObjectRecogniser.save": "palpate learn",

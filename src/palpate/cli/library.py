@@ -242,9 +242,9 @@ def check(
     as_json: AsJson = False,
 ) -> None:
     """Compare everything with its digests; exit code 1 where something is wrong."""
-    from ..library import check_library, repair_library
+    from ..library import TouchLibrary, check_library
 
-    repaired = repair_library(folder) if repair else None
+    repaired = TouchLibrary.repair_folder(folder) if repair else None
     report = check_library(folder)
     lines = [as_typed(str(report))]
     if repaired is not None and repaired.rebuilt:

@@ -10,7 +10,6 @@ from ._bags import read_bag
 from ._library import TouchLibrary
 from ._store import LibraryError
 from ._upkeep import check_library
-from ._upkeep import repair_library as repair_library
 from ._where import quoted
 
 __all__ = [

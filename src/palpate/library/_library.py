@@ -101,8 +101,8 @@ class TouchLibrary:
         warn_of_network(self.folder)
         if lost := self._store.lost():
             warnings.warn(
-                f"{lost} Add them again, or put a backup back; `repair_library` "
-                "accepts it as it is.",
+                f"{lost} Add them again, or put a backup back; "
+                "`TouchLibrary.repair_folder` accepts it as it is.",
                 stacklevel=3,
             )
 
@@ -152,6 +152,31 @@ class TouchLibrary:
             `old` is no such library, `new` is not empty, or the disk is full.
         """
         return migrate_library(Path(old), Path(new), progress)
+
+    @staticmethod
+    def repair_folder(
+        folder: str | Path, *, progress: bool | None = None
+    ) -> RepairReport:
+        """Make a new database of what is whole in a damaged one; nothing is deleted.
+
+        Touches keep their ids and their order. The damaged database goes to `damaged/`
+        in the library when the new one is complete. Touches that are lost can be added
+        again. Nobody else may be writing meanwhile.
+
+        Parameters
+        ----------
+        folder : path
+            The library, which need not open.
+        progress : bool, optional
+            As for `check_library`.
+
+        Raises
+        ------
+        LibraryError
+            There is no library, another palpate made it, nothing of it can be read, or
+            the disk is full or not to be read: then the library is left as it was.
+        """
+        return repair_library(Path(folder), progress)
 
     def __enter__(self) -> Self:
         return self
@@ -473,10 +498,10 @@ class TouchLibrary:
         return check_library(self.folder, progress=progress)  # others go on meanwhile
 
     def repair(self, *, progress: bool | None = None) -> RepairReport:
-        """Keep what is whole and set the damaged file aside; see `repair_library`."""
+        """Keep what is whole and set the damaged file aside; see `repair_folder`."""
         self.close()
         try:
-            return repair_library(self.folder, progress=progress)
+            return repair_library(self.folder, progress)
         finally:
             self._store = Store(self.folder)
             self._tables = Tables(self._store)

@@ -662,8 +662,8 @@ _FREE = (
     "may be written to, and try again; what was acknowledged is kept."
 )
 REPAIR = (
-    "It is damaged; `repair_library` keeps what can be read, and the damaged file as "
-    "well."
+    "It is damaged; `TouchLibrary.repair_folder` keeps what can be read, and the "
+    "damaged file as well."
 )
 _WAIT = "Another program has been writing for a minute; wait, or end it."
 _CHECK = "Check that the folder may be written to, and call `check_library`."

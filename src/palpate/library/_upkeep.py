@@ -126,27 +126,8 @@ def check_library(folder: str | Path, *, progress: bool | None = None) -> CheckR
         return CheckReport(False, 0, [Problem(kind, str(error), [])])
 
 
-def repair_library(folder: str | Path, *, progress: bool | None = None) -> RepairReport:
-    """Make a new database of what is whole in a damaged one; nothing is deleted.
-
-    Touches keep their ids and their order. The damaged database goes to `damaged/` in
-    the library when the new one is complete. Touches that are lost can be added again.
-    Nobody else may be writing meanwhile.
-
-    Parameters
-    ----------
-    folder : path
-        The library.
-    progress : bool, optional
-        As for `check_library`.
-
-    Raises
-    ------
-    LibraryError
-        There is no library, another palpate made it, nothing of it can be read, or the
-        disk is full or not to be read: then the library is left as it was.
-    """
-    folder = Path(folder)
+def repair_library(folder: Path, progress: bool | None) -> RepairReport:
+    """Repair a library that is closed; see `TouchLibrary.repair_folder`."""
     with _opened(folder) as old:
         report = check_store(old, progress)
         # That there were more touches once is all: what is there is accepted.
