@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.simulation import (
-    OBJECT_SETS,
     DomeCamera,
     TacTipPins,
+    find_objects,
     simulate_touches,
 )
 
@@ -22,8 +22,7 @@ Picture = NDArray[np.uint8]
 
 def main() -> None:
     camera = DomeCamera(image_shape=(SIDE, SIDE), noise_sd=0.0, texture_sd=0.0)
-    shapes, things = OBJECT_SETS["shapes"], OBJECT_SETS["household"]
-    things += OBJECT_SETS["unseen"]
+    shapes, things = find_objects("shapes"), find_objects(["household", "unseen"])
     rows = [_strip(thing, camera, "hemisphere") for thing in things]
     rows += [_strip(thing, camera, "above") for thing in shapes]
     rows += [_strip(thing, TacTipPins(), "above") for thing in shapes[:5:2]]

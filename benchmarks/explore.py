@@ -27,7 +27,7 @@ from palpate._durable import write_text
 from palpate.evaluation._episodes import run_episodes
 from palpate.evaluation._trial import spread
 from palpate.recognition import ObjectRecogniser, adapt
-from palpate.simulation import HOUSEHOLD, OBJECT_SETS, DomeCamera, simulate_touches
+from palpate.simulation import DomeCamera, find_objects, simulate_touches
 
 Row = dict[str, Any]
 OUT = Path(__file__).with_suffix(".json")
@@ -113,7 +113,7 @@ def real(data: Path | None, preset: str, n_seeds: int) -> list[Row]:
     recorded = recorded[np.isin(recorded.category, list(names))]
     kinds = np.array([names[str(kind)] for kind in recorded.category])
     recorded = recorded.with_columns(category=kinds)
-    both = HOUSEHOLD + OBJECT_SETS["unseen"]
+    both = find_objects(["household", "unseen"])
     things = [thing for thing in both if thing.category in KINDS]
     accuracies = []
     for seed in range(n_seeds):

@@ -17,11 +17,10 @@ import numpy as np
 from palpate.exploration import Guard, RandomHemisphere, put_down
 from palpate.exploration._simulated_objects import QUICK_GUARD
 from palpate.simulation import (
-    HOUSEHOLD,
-    OBJECT_SETS,
     DomeCamera,
     SimObject,
     find_object,
+    find_objects,
 )
 
 CAMERA = DomeCamera(image_shape=(32, 32))
@@ -40,7 +39,7 @@ def main() -> None:
         peaks = np.concatenate(
             [
                 touched(thing, face, guard, n_touches)[0]
-                for thing in HOUSEHOLD + OBJECT_SETS["unseen"]
+                for thing in find_objects(["household", "unseen"])
                 for face in range(len(thing.resting_rotations))
             ]
         )

@@ -42,14 +42,14 @@ CORE = {
     "classifiers/_touch_classifier.py": "touch_classifier",
     "library/_adding.py": "touch_library library_store library_reading",
     "library/_changes.py": "library_changes touch_library library_store",
-    "library/_checking.py": "library_changes library_store library_altered",
     "library/_content.py": "touch_library library_store library_reading",
     "library/_exchange.py": "lerobot_contents library_export",
     "library/_migrating.py": "library_migrating",
     "library/_reading.py": "library_reading touch_library library_learning",
-    "library/_repairing.py": "library_changes library_store library_durability",
     "library/_rows.py": "touch_library library_store library_reading",
     "library/_store.py": "touch_library library_store library_changes "
+    "library_durability",
+    "library/_upkeep.py": "library_changes library_store library_altered "
     "library_durability",
     "library/_where.py": "library_where",
     "touches/_archive.py": "touch_archive touch_archive_hostile",

@@ -51,11 +51,11 @@ from palpate.exploration._surface import mesh_surface
 from palpate.recognition import ObjectRecogniser
 from palpate.simulation import (
     HOUSEHOLD,
-    OBJECT_SETS,
     DomeCamera,
     PlacedObject,
     SensorPose,
     SimObject,
+    find_objects,
 )
 
 CAMERA = DomeCamera(image_shape=(80, 80), n_nodes=24)
@@ -66,7 +66,7 @@ ERROR = 0.05
 POSES_AFTER = 5, 10
 # As many turns as the tables distinguish look alike.
 AZIMUTHS_OF_ROUND = 72
-STRANGERS = OBJECT_SETS["unseen"] + OBJECT_SETS["unlike others"]
+STRANGERS = find_objects(["unseen", "unlike others"])
 Row = dict[str, Any]
 
 

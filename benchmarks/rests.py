@@ -24,7 +24,7 @@ from sklearn.svm import SVC
 from palpate import Touches, simulate_presses, simulate_touches
 from palpate.library import TouchLibrary
 from palpate.recognition import ObjectRecogniser
-from palpate.simulation import OBJECT_SETS, GelCamera, PressureArray, TacTipPins
+from palpate.simulation import GelCamera, PressureArray, TacTipPins
 
 N_TOUCHES, N_ELECTRODES = 16, 19
 Floats = np.ndarray
@@ -80,7 +80,7 @@ def camera(kind: type[GelCamera] | type[TacTipPins]) -> Day:
     def day(draw: int, number: int, touches_seed: int) -> Touches:
         mounted = kind().remounted(np.random.default_rng([draw, number]))
         touches = simulate_touches(
-            [*OBJECT_SETS["shapes"]],
+            "shapes",
             N_TOUCHES,
             mounted,
             "above",

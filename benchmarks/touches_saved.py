@@ -26,7 +26,7 @@ from explore import KINDS, _accuracy, _bathtip
 from palpate import Touches
 from palpate._durable import write_text
 from palpate.recognition import ObjectRecogniser, adapt
-from palpate.simulation import HOUSEHOLD, OBJECT_SETS, simulate_touches
+from palpate.simulation import find_objects, simulate_touches
 
 COUNTS = (2, 5, 10)
 N_ASKED = 30
@@ -60,7 +60,7 @@ def drawn(recorded: Touches, rng: np.random.Generator) -> tuple[np.ndarray, np.n
 
 def simulated_kinds(seed: int) -> Touches:
     """Return simulated touches of the nine objects of these kinds."""
-    both = HOUSEHOLD + OBJECT_SETS["unseen"]
+    both = find_objects(["household", "unseen"])
     things = [thing for thing in both if thing.category in KINDS]
     options = {"max_tilt_deg": 50, "max_roll_deg": 0, "n_sessions": 3}
     return simulate_touches(things, random_state=seed, **options)

@@ -59,8 +59,8 @@ print(json.dumps(dict(wall_ms=wall, cpu_ms=cpu, before_mib=before,
 """
 _OURS = """
 import cv2
-from palpate.touches import read_folder
-def work(folder): return read_folder(folder, progress=False).images
+from palpate import Touches
+def work(folder): return Touches.load(folder, progress=False).images
 """
 _PEER = """
 from pathlib import Path

@@ -19,6 +19,7 @@ Presentation = Literal["auto", "any", "turned", "shifted", "fixed"]
 Split = Literal["between", "last", "unseen-objects", "session", "subject"]
 GEOMETRIES = ("dome", "array", "plane", "none")  # how taxels lie
 RGB = ("r", "g", "b")  # channels of a picture in colour
+PICTURES = (".jpg", ".jpeg", ".png")  # endings of what is decoded as a picture
 FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")  # endings of films
 # How the last axis of images, and the arrays within one picture, are described.
 LAYOUT = ("channels", "pads", "pad_names")

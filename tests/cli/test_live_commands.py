@@ -526,7 +526,7 @@ def test_ctrl_c_says_what_is_kept(palpate, monkeypatch, recording, tmp_path):
     monkeypatch.setattr("palpate.recognition.ObjectRecogniser.fit", stop)
     monkeypatch.setattr("palpate.evaluation.evaluate", stop)
     monkeypatch.setattr(PageServer, "run", stop)
-    monkeypatch.setattr("palpate.touches.check_folder", stop)
+    monkeypatch.setattr("palpate.touches.PictureCheck.of_folder", stop)
     model, report = tmp_path / "m.palpate", tmp_path / "r.html"
     model.write_text("before")
     line = stopped("learn", recording, "-o", model)

@@ -29,7 +29,7 @@ from hypothesis.stateful import (
 )
 
 from palpate import ObjectRecogniser, Touches
-from palpate.library import LibraryError, TouchLibrary, check_library, repair_library
+from palpate.library import LibraryError, TouchLibrary, check_library
 from palpate.sensors import LiveSensor, SensorError
 from palpate.web import LiveSession
 from palpate.web._learning import learn_job
@@ -175,7 +175,7 @@ class LibraryMachine(RuleBasedStateMachine):
 
     @rule()
     def repair(self):
-        assert not repair_library(self.folder).rebuilt
+        assert not TouchLibrary.repair_folder(self.folder).rebuilt
 
     @rule()
     def check(self):

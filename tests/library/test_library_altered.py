@@ -15,9 +15,8 @@ import pytest
 from palpate.library import (
     LibraryError,
     TouchLibrary,
-    _checking,
+    _upkeep,
     check_library,
-    repair_library,
 )
 
 from .conftest import press_of, rows_of
@@ -76,7 +75,7 @@ def test_what_is_altered_is_refused_left_out_found_and_set_aside(
         report = library.check()
     assert not report.ok
     assert len(report.problems) < 20
-    repair = repair_library(folder)
+    repair = TouchLibrary.repair_folder(folder)
     assert check_library(folder).ok
     assert repair.rebuilt
     assert list(folder.glob("damaged/*/library.sqlite"))
@@ -117,7 +116,7 @@ def test_what_reading_cannot_notice_is_found_by_a_check(folder, alter, statement
     before = {row.id for row in rows_of(folder)}
     alter(folder, *statements.split("; "))
     assert not check_library(folder).ok
-    repair_library(folder)
+    TouchLibrary.repair_folder(folder)
     assert {problem.kind for problem in check_library(folder).problems} <= {"left out"}
     gone = before - {row.id for row in rows_of(folder)}
     assert len(gone) == ("DELETE FROM touches" in statements)
@@ -150,7 +149,7 @@ def test_counts_that_never_reached_the_disk_are_refused_and_repaired(folder):
     with pytest.raises(LibraryError, match="got no count of its touches"):
         TouchLibrary.open(folder)
     assert not check_library(folder).ok
-    assert repair_library(folder).rebuilt
+    assert TouchLibrary.repair_folder(folder).rebuilt
     assert check_library(folder).ok
     assert rows_of(folder) == before
 
@@ -191,7 +190,7 @@ def test_an_older_database_put_back_is_reported_until_it_is_accepted(folder):
         [problem] = check_library(folder).problems
         assert problem.kind == "lost"
         assert "3 more touches and 1 more changes" in problem.what
-    repair = repair_library(folder)
+    repair = TouchLibrary.repair_folder(folder)
     assert (repair.rebuilt, repair.n_touches, repair.set_aside) == (False, 7, None)
     assert check_library(folder).ok
     assert len(rows_of(folder)) == 7
@@ -237,7 +236,7 @@ def test_a_repair_keeps_all_that_is_whole_and_deletes_nothing(
         content[span] = rng.bytes(span.stop - span.start)
     path.write_bytes(content)
     assert not check_library(folder).ok
-    repair = repair_library(folder)
+    repair = TouchLibrary.repair_folder(folder)
     kept, kept_images = _facts(folder)
     assert kept == [row for row in before if row.id in kept_images]
     assert kept_images.items() <= images.items()
@@ -265,11 +264,11 @@ def test_a_repair_that_fails_leaves_the_library_as_it_was(folder, alter, monkeyp
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", fail)
         with pytest.raises(LibraryError, match="must have room for a new database"):
-            repair_library(folder)
+            TouchLibrary.repair_folder(folder)
     assert (folder / "library.sqlite").read_bytes() == before
     assert not list(folder.glob(".partial-*"))
     assert "Row 2 must be" in str(check_library(folder))
-    assert repair_library(folder).n_touches == 5
+    assert TouchLibrary.repair_folder(folder).n_touches == 5
 
 
 def test_what_another_adds_after_a_repair_is_not_lost(folder, alter):
@@ -279,7 +278,7 @@ def test_what_another_adds_after_a_repair_is_not_lost(folder, alter):
         alter(folder, "UPDATE touches SET force_n = 9 WHERE number = 2")
         ids = []
         with suppress(LibraryError):
-            repair_library(folder)
+            TouchLibrary.repair_folder(folder)
         with suppress(LibraryError):
             ids = other.add(press_of(1))
     with TouchLibrary.open(folder) as library, warnings.catch_warnings():
@@ -301,10 +300,11 @@ def test_a_database_of_which_nothing_is_left_is_not_replaced(folder, damage):
     assert not check_library(folder).ok
     for act in (
         lambda: TouchLibrary.open(folder).list(),
-        lambda: repair_library(folder),
+        lambda: TouchLibrary.repair_folder(folder),
     ):
         with pytest.raises(
-            LibraryError, match=r"backup|`repair_library`|no library\.sqlite"
+            LibraryError,
+            match=r"backup|`TouchLibrary\.repair_folder`|no library\.sqlite",
         ):
             act()
     assert not (folder / "damaged").exists()
@@ -317,7 +317,7 @@ def test_a_database_of_which_nothing_is_left_is_not_replaced(folder, damage):
 
 def test_a_check_is_of_what_there_was_when_it_began(folder, monkeypatch):
     """Another program that adds, renames and retracts meanwhile damages nothing."""
-    read, others = _checking.next_rows, ["pad", "pot"]
+    read, others = _upkeep._next_rows, ["pad", "pot"]
 
     def read_after_another(store, number):
         if number and others:
@@ -327,7 +327,7 @@ def test_a_check_is_of_what_there_was_when_it_began(folder, monkeypatch):
                 other.retract(ids, reason=f"wet {others.pop()}")
         return read(store, number)
 
-    monkeypatch.setattr(_checking, "next_rows", read_after_another)
+    monkeypatch.setattr(_upkeep, "_next_rows", read_after_another)
     for n_touches in (6, 7):
         with TouchLibrary.open(folder) as library:
             check = library.check() if len(others) == 2 else check_library(folder)

@@ -15,7 +15,6 @@ from palpate.library import (
     _rows,
     check_library,
     quoted,
-    repair_library,
 )
 from palpate.touches import TouchesError
 
@@ -46,7 +45,7 @@ def rebuilt(alter):
 
     def rebuild(folder):
         alter(folder, "UPDATE tally SET touches = x'00'")
-        repair = repair_library(folder)
+        repair = TouchLibrary.repair_folder(folder)
         assert (repair.rebuilt, repair.lost, repair.n_changes_lost) == (True, [], 0)
         assert check_library(folder).ok
         return state_of(folder)
@@ -256,7 +255,7 @@ def test_changes_of_touches_that_are_lost_cost_no_other(folder, alter, gone):
         library.merge_objects("c", "b")
     numbers = {"a": "1, 2", "c": "5, 6"}[gone]
     alter(folder, f"UPDATE touches SET force_n = 9 WHERE number IN ({numbers})")
-    repair = repair_library(folder)
+    repair = TouchLibrary.repair_folder(folder)
     assert repair.lost == ids[gone]
     assert (repair.n_changes, repair.n_changes_lost) == (3, 1)
     rows = {row.id: (row.object, row.reason) for row in state_of(folder)[0]}
@@ -266,7 +265,7 @@ def test_changes_of_touches_that_are_lost_cost_no_other(folder, alter, gone):
     }[gone]
     assert rows == kept | {ids["b"][0]: ("b", "wet"), ids["b"][1]: ("b", None)}
     assert str(check_library(folder)).startswith("4 touches: all present")
-    assert not repair_library(folder).rebuilt
+    assert not TouchLibrary.repair_folder(folder).rebuilt
 
 
 def test_a_change_that_cannot_be_read_is_counted_and_the_touches_stay(folder, alter):
@@ -281,7 +280,7 @@ def test_a_change_that_cannot_be_read_is_counted_and_the_touches_stay(folder, al
             library.history()
         with pytest.raises(LibraryError):
             library.touches()
-    repair = repair_library(folder)
+    repair = TouchLibrary.repair_folder(folder)
     assert (repair.n_touches, repair.lost, repair.n_changes_lost) == (6, [], 1)
     rows = state_of(folder)[0]
     assert [row.object for row in rows] == list("aabbcc")

@@ -24,7 +24,6 @@ from palpate.library import (
     SensorDescription,
     TouchLibrary,
     check_library,
-    repair_library,
 )
 
 from .conftest import outcome_elsewhere, press_of, rows_of, started
@@ -244,7 +243,9 @@ def test_a_real_failing_write_is_reported_and_the_library_stays_whole(tmp_path):
     for limit in (100, 4096):
         assert _under_limit(limit, _rows, folder) == expected
         assert "all present" in _under_limit(limit, check_library, folder)
-        assert "rebuilt=False" in _under_limit(limit, repair_library, folder)
+        assert "rebuilt=False" in _under_limit(
+            limit, TouchLibrary.repair_folder, folder
+        )
         assert "ree space" in _under_limit(limit, _add, folder)
     assert _files(folder) == before
     for limit in (40_000, 120_000, 250_000):
@@ -263,18 +264,18 @@ def test_a_repair_without_room_leaves_the_old_database(tmp_path, alter):
     alter(folder, "UPDATE touches SET force_n = 9 WHERE number = 2")
     before = _files(folder)
     for limit in (4096, 50_000):
-        assert "ree space" in _under_limit(limit, repair_library, folder)
+        assert "ree space" in _under_limit(limit, TouchLibrary.repair_folder, folder)
         assert _files(folder) == before
-    repair = repair_library(folder)
+    repair = TouchLibrary.repair_folder(folder)
     assert (repair.rebuilt, repair.n_touches, len(repair.lost)) == (True, 99, 1)
     shutil.rmtree(folder / "damaged")
     content = (folder / "library.sqlite").read_bytes()
     (folder / "library.sqlite").write_bytes(b"\0" * 100 + content[100:])
     before = _files(folder)
     for limit in (4096, 50_000, 150_000):  # a new first page is tried on a copy
-        assert "ree space" in _under_limit(limit, repair_library, folder)
+        assert "ree space" in _under_limit(limit, TouchLibrary.repair_folder, folder)
         assert _files(folder) == before
-    assert repair_library(folder).n_touches == 99
+    assert TouchLibrary.repair_folder(folder).n_touches == 99
     assert check_library(folder).ok
 
 
@@ -352,7 +353,7 @@ def _outcome(folder, truth, where):
         return "no matter"
     before = {p.name: p.read_bytes() for p in folder.glob("library.sqlite")}
     try:
-        repair = repair_library(folder)
+        repair = TouchLibrary.repair_folder(folder)
     except LibraryError as error:
         # A flipped version looks newer; a flipped header cannot be read.
         assert before == {p.name: p.read_bytes() for p in folder.glob("library.sqlite")}

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.library import LibraryError, TouchLibrary, check_library, migrate_library
+from palpate.library import LibraryError, TouchLibrary, check_library
 
 N_TOUCHES, N_CHANGES = 29, 5
 
@@ -60,7 +60,7 @@ def _assert_same(folder, state):
 
 def test_everything_is_as_it_was_and_the_old_folder_untouched(old, state, tmp_path):
     before = _files(old)
-    report = migrate_library(old, tmp_path / "new")
+    report = TouchLibrary.migrate(old, tmp_path / "new")
     assert report == (N_TOUCHES, N_CHANGES, [], 0, [])
     assert _files(old) == before
     _assert_same(tmp_path / "new", state)
@@ -74,7 +74,7 @@ def test_format_1_is_format_2_without_seals(old, state, tmp_path, alter):
     tables = ("objects", "recordings", "layouts", "files", "changes", "touches")
     drop = "ALTER TABLE {} DROP COLUMN seal"
     alter(old, *map(drop.format, tables), "PRAGMA user_version = 1")
-    migrate_library(old, tmp_path / "new")
+    TouchLibrary.migrate(old, tmp_path / "new")
     _assert_same(tmp_path / "new", state)
 
 
@@ -94,13 +94,13 @@ def test_a_stopped_migration_goes_on(old, state, tmp_path, monkeypatch, alter, n
     with monkeypatch.context() as patch:
         patch.setattr(sqlite3, "connect", partial(sqlite3.connect, factory=Stopping))
         with pytest.raises(KeyboardInterrupt):
-            migrate_library(old, new)
+            TouchLibrary.migrate(old, new)
     assert not TouchLibrary.is_library(new)  # a part of a library is none
     with TouchLibrary.open(shutil.copytree(new, tmp_path / "used"), create=True):
         pass
     with pytest.raises(LibraryError, match="used must be a new or empty folder"):
-        migrate_library(old, tmp_path / "used")  # it would take that one's place
-    migrate_library(old, new)
+        TouchLibrary.migrate(old, tmp_path / "used")  # it would take that one's place
+    TouchLibrary.migrate(old, new)
     _assert_same(new, state)
     assert check_library(new).ok
     assert not [*new.glob(".migrating*")]
@@ -110,7 +110,7 @@ def test_a_stopped_migration_goes_on(old, state, tmp_path, monkeypatch, alter, n
 def test_an_old_library_is_refused_with_the_way_out(old, alter, version):
     alter(old, f"PRAGMA user_version = {version}")
     for create in (False, True):
-        with pytest.raises(LibraryError, match=r"`migrate_library\(.*, NEW\)`"):
+        with pytest.raises(LibraryError, match=r"`TouchLibrary.migrate\(.*, NEW\)`"):
             TouchLibrary.open(old, create=create)
     report = check_library(old)
     assert (report.ok, [p.kind for p in report.problems]) == (False, ["version"])
@@ -125,7 +125,7 @@ def test_touches_whose_image_is_gone_are_named(old, tmp_path):
         )
         ids = [r[0] for r in database.execute(sql, [bytes.fromhex(gone.stem)])]
     gone.unlink()
-    report = migrate_library(old, tmp_path / "new")
+    report = TouchLibrary.migrate(old, tmp_path / "new")
     assert report.lost == ids
     assert report.n_touches == N_TOUCHES - len(ids)
     assert check_library(tmp_path / "new").ok
@@ -136,7 +136,7 @@ def test_an_altered_image_costs_its_touch_alone(old, tmp_path):
     content = bytearray(path.read_bytes())
     content[128 + 42] ^= 1  # the second image, after a header of 128 bytes
     path.write_bytes(content)
-    report = migrate_library(old, tmp_path / "new")
+    report = TouchLibrary.migrate(old, tmp_path / "new")
     assert len(report.lost) == 1
     assert report.n_touches == N_TOUCHES - 1
 
@@ -145,7 +145,7 @@ def test_a_forged_image_is_found_since_its_id_does_not_follow(old, tmp_path, alt
     """A migration computes every digest and the chain anew, as a forger might."""
     another = "(SELECT image FROM touches WHERE number = 1)"
     alter(old, f"UPDATE touches SET place = 0, image = {another} WHERE number = 2")
-    assert migrate_library(old, tmp_path / "new").lost == []
+    assert TouchLibrary.migrate(old, tmp_path / "new").lost == []
     [problem] = check_library(tmp_path / "new").problems
     with TouchLibrary.open(tmp_path / "new") as library:
         forged = library.list(limit=2, retracted=True)[1].id
@@ -157,7 +157,7 @@ def test_a_lost_baseline_is_reported(old, tmp_path):
     for path in (old / "arrays").rglob("*.npy"):
         if np.load(path).shape == (6, 7):
             path.write_bytes(b"x" + path.read_bytes())
-    report = migrate_library(old, tmp_path / "new")
+    report = TouchLibrary.migrate(old, tmp_path / "new")
     assert report.lost_arrays == ["no_contact"]
     assert (report.n_touches, report.lost) == (N_TOUCHES, [])
     assert check_library(tmp_path / "new").ok
@@ -167,28 +167,28 @@ def test_files_that_the_database_does_not_know_are_counted(old, tmp_path):
     stray = old / "images" / "ab" / f"{'ab' * 32}.npy"
     stray.parent.mkdir(exist_ok=True)
     stray.write_bytes(b"x")
-    assert migrate_library(old, tmp_path / "new").n_unknown_files == 1
+    assert TouchLibrary.migrate(old, tmp_path / "new").n_unknown_files == 1
 
 
 def test_a_change_whose_file_is_lost_follows_from_the_rows(old, state, tmp_path):
     for path in (old / "changes").glob("*.json"):
         if json.loads(path.read_text())["action"] == "retract":
             path.unlink()
-    migrate_library(old, tmp_path / "new")
+    TouchLibrary.migrate(old, tmp_path / "new")
     _assert_same(tmp_path / "new", state)
 
 
 def test_what_is_no_old_library_is_refused(old, tmp_path):
     with pytest.raises(LibraryError, match=r"no library\.sqlite in it"):
-        migrate_library(tmp_path / "nothing", tmp_path / "new")
-    migrate_library(old, tmp_path / "new")
+        TouchLibrary.migrate(tmp_path / "nothing", tmp_path / "new")
+    TouchLibrary.migrate(old, tmp_path / "new")
     with pytest.raises(LibraryError, match="got format 3"):
-        migrate_library(tmp_path / "new", tmp_path / "newer")
+        TouchLibrary.migrate(tmp_path / "new", tmp_path / "newer")
     with pytest.raises(LibraryError, match="new or empty folder"):
-        migrate_library(old, tmp_path / "new")
+        TouchLibrary.migrate(old, tmp_path / "new")
     (old / "library.sqlite").write_bytes(b"x" * 5000)
     with pytest.raises(LibraryError, match="must be a sound library"):
-        migrate_library(old, tmp_path / "newest")
+        TouchLibrary.migrate(old, tmp_path / "newest")
     assert not (tmp_path / "newest").exists()
 
 
@@ -207,7 +207,7 @@ def test_what_is_no_old_library_is_refused(old, tmp_path):
 def test_a_damaged_cell_is_told_in_one_sentence(old, tmp_path, alter, cells):
     alter(old, f"UPDATE {cells}")
     with pytest.raises(LibraryError, match=r"must be a sound library, got: .*Repair"):
-        migrate_library(old, tmp_path / "new")
+        TouchLibrary.migrate(old, tmp_path / "new")
 
 
 def test_a_begun_migration_of_another_library_is_not_continued(
@@ -223,6 +223,6 @@ def test_a_begun_migration_of_another_library_is_not_continued(
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", stopped)  # after all touches are written
         with pytest.raises(KeyboardInterrupt):
-            migrate_library(old, new)
+            TouchLibrary.migrate(old, new)
     with pytest.raises(LibraryError, match="touches of another library"):
-        migrate_library(other, new)
+        TouchLibrary.migrate(other, new)

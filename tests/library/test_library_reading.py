@@ -14,7 +14,6 @@ from palpate.library import (
     SensorDescription,
     TouchLibrary,
     check_library,
-    repair_library,
 )
 from palpate.touches import TouchesError
 
@@ -456,7 +455,7 @@ def test_check_and_repair_know_channels(library, rng, alter):
     assert check_library(library.folder).ok
     library.close()
     alter(library.folder, "UPDATE touches SET force_n = 5 WHERE number = 2")
-    assert repair_library(library.folder).n_touches == 2
+    assert TouchLibrary.repair_folder(library.folder).n_touches == 2
     with TouchLibrary.open(library.folder) as again:
         assert_alike(again.touches(), touches[::2])
 

@@ -22,7 +22,6 @@ from palpate.library import (
     SensorDescription,
     TouchLibrary,
     check_library,
-    repair_library,
 )
 
 from .conftest import outcome_elsewhere, press_of, rows_of
@@ -372,7 +371,7 @@ def test_a_library_of_a_group_can_be_written_by_all_of_it(tmp_path, alter):
     finally:
         os.umask(before)
     alter(tmp_path / "copy", "UPDATE touches SET force_n = 9")
-    assert repair_library(tmp_path / "copy").rebuilt
+    assert TouchLibrary.repair_folder(tmp_path / "copy").rebuilt
     for name in ("group", "copy"):
         assert (tmp_path / name / "library.sqlite").stat().st_mode & 0o777 == 0o664
 
@@ -402,7 +401,7 @@ def test_a_database_that_another_keeps_to_itself_is_left_alone(
         assert problem.kind == "disk"
         assert "Another program" in problem.what
         with pytest.raises(LibraryError, match="wait, or end it"):
-            repair_library(folder)
+            TouchLibrary.repair_folder(folder)
     assert check_library(folder).ok
     assert (folder / "library.sqlite").read_bytes() != before
 

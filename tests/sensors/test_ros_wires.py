@@ -16,7 +16,7 @@ from ros_robot import image_bytes
 
 from palpate.sensors import (
     SensorError,
-    _zenoh,
+    _ros_wires,
     check_sensor,
     open_sensor,
     ros,
@@ -42,12 +42,12 @@ def network(monkeypatch):
 # The hash that ROS publishes.
 def test_the_type_hash_of_a_message_is_that_of_ros():
     string = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
-    assert _zenoh.type_hash(ros.STRING) == string
+    assert _ros_wires.type_hash(ros.STRING) == string
 
 
 @needs_dds
 def test_a_service_answers_as_rmw_cyclonedds_asks():
-    from palpate.sensors._dds import DdsReader, DdsWriter, _topic
+    from palpate.sensors._ros_wires import DdsReader, DdsWriter, _topic
 
     node, client = (ros_place(HERE).open_node() for _ in range(2))
     service = node.serve("/desk/start", ros.TRIGGER, lambda _: (True, "begun"))
@@ -81,7 +81,7 @@ def test_a_service_answers_as_rmw_zenoh_asks():
         kind = ros.TRIGGER
         service = node.serve("/desk/start", kind, lambda _: (False, "no"))
         key = f"{DOMAIN}/desk/start/std_srvs::srv::dds_::Trigger_"
-        key += f"/{_zenoh.SERVICE_HASHES[kind]}"
+        key += f"/{_ros_wires.SERVICE_HASHES[kind]}"
         about = struct.pack("<qqB16s", 9, 123, 16, b"gid-of-a-client.")
         tokens = f"@ros2_lv/{DOMAIN}/*/*/*/SS/*/*/*/%desk%start/*/*/*"
         assert eventually(lambda: len([*client.liveliness().get(tokens)]) == 1)
@@ -176,7 +176,7 @@ def test_a_subscriber_that_asks_for_more_than_is_offered_is_told_by_its_policy()
     from cyclonedds.core import Policy, Qos
     from cyclonedds.sub import DataReader
 
-    from palpate.sensors._dds import _topic
+    from palpate.sensors._ros_wires import _topic
 
     node, client = (ros_place(HERE).open_node() for _ in range(2))
     writer = node.publish("/desk/belief", ros.STRING)

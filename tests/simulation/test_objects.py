@@ -10,16 +10,16 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.simulation import (
     HOUSEHOLD,
-    OBJECT_SETS,
     PlacedObject,
     SensorPose,
     SimObject,
     find_object,
+    find_objects,
     load_mesh,
 )
 
-EVERYTHING = [thing for things in OBJECT_SETS.values() for thing in things]
-UNSEEN, BASIC_SHAPES = OBJECT_SETS["unseen"], OBJECT_SETS["shapes"]
+EVERYTHING = find_objects(["household", "unseen", "unlike others", "shapes"])
+UNSEEN, BASIC_SHAPES = find_objects("unseen"), find_objects("shapes")
 solid = pytest.mark.parametrize(
     "thing", [o for o in EVERYTHING if o.name != "nothing"], ids=lambda o: o.name
 )
@@ -85,7 +85,9 @@ def test_mug_is_hollow_and_has_a_handle():
     assert outside == np.inf
 
 
-@pytest.mark.parametrize("thing", HOUSEHOLD + UNSEEN, ids=lambda o: o.name)
+@pytest.mark.parametrize(
+    "thing", find_objects(["household", "unseen"]), ids=lambda o: o.name
+)
 def test_resting_poses_have_ground_below_the_centre_of_mass(thing):
     """Below the centre of mass there is ground that the object stands on."""
     for number in range(len(thing.resting_rotations)):

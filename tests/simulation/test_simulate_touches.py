@@ -11,13 +11,13 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from palpate import Touches
 from palpate.exploration import explore_to_learn
 from palpate.simulation import (
-    OBJECT_SETS,
     DomeCamera,
     Membrane,
     PressureArray,
     Scene,
     TacTipPins,
     find_object,
+    find_objects,
     find_parts,
     load_mesh,
     simulate_presses,
@@ -29,7 +29,7 @@ FORCE_N = 4 * 9.80665
 
 @pytest.mark.parametrize(
     "thing",
-    [thing for things in OBJECT_SETS.values() for thing in things],
+    find_objects(["household", "unseen", "unlike others", "shapes"]),
     ids=lambda thing: thing.name,
 )
 def test_every_object_from_everywhere_gives_finite_touches(thing):

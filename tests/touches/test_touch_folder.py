@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from palpate import Touches
-from palpate.touches import TouchesError, check_folder, read_folder
+from palpate.touches import PictureCheck, TouchesError
 
 from .conftest import first_levels
 
@@ -89,7 +89,7 @@ def test_a_no_contact_that_does_not_fit_is_refused(put, tmp_path, image, message
 
 def test_missing_and_empty_folders(put, tmp_path):
     with pytest.raises(TouchesError, match="must be a folder of pictures, got none"):
-        read_folder(tmp_path / "missing")
+        PictureCheck.of_folder(tmp_path / "missing")
     with pytest.raises(TouchesError, match=r"must hold pictures .* got no files"):
         Touches.load(put())
     root = put(".hidden.png")
@@ -143,7 +143,7 @@ def test_jpeg_and_png_of_one_size_and_depth_stand_together(put):
     assert touches.images.shape == (4, 4, 6)
     for row, level in ((1, 90), (3, 200)):  # one level stays itself in a JPEG
         assert np.abs(touches.images[row].astype(int) - level).max() <= 1
-    check, _ = check_folder(root)
+    check = PictureCheck.of_folder(root)
     assert check.bad == []
     Image.new("L", (5, 4)).save(root / "a" / "2.jpg")
     with pytest.raises(TouchesError, match=r"got 5 x 4 8-bit JPEG .*Crop or pad it"):

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from palpate import Touches
-from palpate.touches import TouchesError, png_bytes, read_folder
+from palpate.touches import TouchesError, png_bytes
 
 from .conftest import first_levels
 
@@ -161,7 +161,7 @@ def test_a_pattern_that_takes_for_ever_is_given_up(rng, tmp_path, monkeypatch, l
     for name in ("mug_1.png", "a" * 30 + "!.png"):
         (tmp_path / name).write_bytes(image)
     with pytest.raises(TouchesError, match=r"within 1 s, got .*at 'a{30}!.png'.*\\w\+"):
-        read_folder(tmp_path, name_pattern=r"^(?P<object>(\w+)+)_\d\.png$")
+        Touches.load(tmp_path, name_pattern=r"^(?P<object>(\w+)+)_\d\.png$")
 
 
 def test_more_names_are_matched_than_a_pipe_holds(put):
@@ -169,6 +169,6 @@ def test_more_names_are_matched_than_a_pipe_holds(put):
     for n in range(1, 2500):
         (folder / f"mug_{n}.png").hardlink_to(folder / "mug_0.png")
     pattern = r"(?P<object>\w+)_(?P<n>\d+)"
-    touches = read_folder(folder, name_pattern=pattern, progress=False)
+    touches = Touches.load(folder, name_pattern=pattern, progress=False)
     assert touches.order.tolist() == list(range(2500))
     assert set(touches.object) == {"mug"}

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image, ImageOps, PngImagePlugin
 
 from palpate import Touches
-from palpate.touches import TouchesError, decode_bytes, png_bytes, read_folder
+from palpate.touches import TouchesError, decode_bytes, png_bytes
 
 
 def coded(image, kind="PNG", **options):
@@ -93,7 +93,7 @@ def test_pictures_are_upright_as_pillow_turns_them(grey, kind, orientation, tmp_
     (tmp_path / "a.png").write_bytes(coded(Image.fromarray(decode_bytes(data))))
     (tmp_path / f"b.{kind.lower()}").write_bytes(data)
     if kind == "PNG":  # one set, one size: that of the upright picture
-        first, second = read_folder(tmp_path).images
+        first, second = Touches.load(tmp_path).images
         assert_array_equal(first, second)
 
 

@@ -479,8 +479,7 @@ class Reading:
 
         Archives, libraries, bags and Parquet say themselves what they hold.
         """
-        from .._types import RGB
-        from ..touches import PICTURES
+        from .._types import PICTURES, RGB
 
         pictures = kind_of(path) in ("film", "folder")
         pictures = pictures or path.suffix.lower() in PICTURES

@@ -59,20 +59,23 @@ def check(
 
     with stages() as stage:
         stage(f"looking at {touches}")
-        pictures, others = _pictures(reading, touches)
-        all_bad = [] if pictures is None else pictures.bad
-        usable = replace(reading, skip_bad=True) if all_bad else reading
+        pictures = _pictures(reading, touches)
+        usable = replace(reading, skip_bad=True) if pictures.bad else reading
         try:
             read, problem = usable.touches(touches, quiet=True), ""
         except TouchesError as error:
-            if not all_bad:
+            if not pictures.bad:
                 raise
             read, problem = None, as_typed(str(error))
         stage("what is no touch")
         alone = {} if read is None or read.object is None else named_alone(read)
     odd = _odd(pictures)
-    notes = _notes(pictures, others, odd)
-    if read and pictures is None and (left := reading.left_aside(touches, read)):
+    notes = _notes(pictures, odd)
+    if (
+        read
+        and kind_of(touches) == "file"
+        and (left := reading.left_aside(touches, read))
+    ):
         notes.append(left)
     checked: dict[str, Any] = {
         "touches": str(touches),
@@ -80,7 +83,7 @@ def check(
         "n_touches": 0 if read is None else len(read),
         "size": None if read is None else " x ".join(map(str, read.images.shape[1:])),
         "read_as": "" if read is None else reading.read_as(touches, read),
-        "bad": [{**bad._asdict(), "fix": as_typed(bad.fix)} for bad in all_bad],
+        "bad": [{**bad._asdict(), "fix": as_typed(bad.fix)} for bad in pictures.bad],
         "odd": odd,
         "notes": notes,
         "objects": [] if read is None else _objects(read),
@@ -94,15 +97,13 @@ def check(
         raise typer.Exit(1)
 
 
-def _pictures(
-    reading: Reading, touches: Path
-) -> tuple["PictureCheck | None", dict[str, list[str]]]:
+def _pictures(reading: Reading, touches: Path) -> "PictureCheck":
     """Look at every picture, if `touches` is a folder of pictures."""
-    from ..touches import check_folder
+    from ..touches import PictureCheck
 
     if kind_of(touches) != "folder":
-        return None, {}
-    return check_folder(
+        return PictureCheck()
+    return PictureCheck.of_folder(
         touches,
         name_pattern=reading.name_pattern,
         levels=reading.levels,
@@ -112,10 +113,8 @@ def _pictures(
     )
 
 
-def _odd(pictures: "PictureCheck | None") -> dict[str, list[Any]]:
+def _odd(pictures: "PictureCheck") -> dict[str, list[Any]]:
     """Return the pictures that can be used and are odd, by what is odd about them."""
-    if pictures is None:
-        return {}
     few = "coloured" if len(pictures.coloured) < len(pictures.grey) else "grey"
     odd: dict[str, list[Any]] = {
         "turned": pictures.turned,
@@ -126,16 +125,12 @@ def _odd(pictures: "PictureCheck | None") -> dict[str, list[Any]]:
     return {kind: names for kind, names in odd.items() if names}
 
 
-def _notes(
-    pictures: "PictureCheck | None",
-    others: dict[str, list[str]],
-    odd: dict[str, list[Any]],
-) -> list[str]:
-    if pictures is None:
+def _notes(pictures: "PictureCheck", odd: dict[str, list[Any]]) -> list[str]:
+    if not pictures.is_of_pictures:
         return [
             f"{counted(len(names), 'file')} of {ending} read in grey, none looked at: "
             "save them as PNG"
-            for ending, names in others.items()
+            for ending, names in pictures.others.items()
         ]
     notes = []
     for kind, pairs in odd.items():
@@ -147,7 +142,7 @@ def _notes(
         notes.append(
             f"{many} in colour read in grey: --colour, if colour tells, as on a gel"
         )
-    for ending, names in others.items():
+    for ending, names in pictures.others.items():
         mend = ": save as PNG" * (ending in STILLS)
         many = counted(len(names), "file")
         notes.append(f"{many} of {ending} left alone ({_first(names)}){mend}")

@@ -21,7 +21,7 @@ Name = Annotated[
 @data.command("list")
 def list_sets(data: RecordedData = None, as_json: AsJson = False) -> None:
     """List sets and ready models, and whether they are there or can be fetched."""
-    from ..datasets import card, names, ready_models, where
+    from ..datasets import READY, card, names, where
 
     here, rows = where(data), []
     for description in map(card, names()):
@@ -31,9 +31,10 @@ def list_sets(data: RecordedData = None, as_json: AsJson = False) -> None:
         rows.append(row | {"state": state})
     lines = [f"{row['name']:16s}{row['state']:10s}{row['what']}" for row in rows]
     models = []
-    for name, (what, file) in ready_models(data).items():
-        state = "there" if file.is_file() else "to make"
-        models.append({"name": name, "what": f"model: {what}", "state": state})
+    for model in READY.values():
+        state = "there" if model.file(data).is_file() else "to make"
+        what = f"model: {model.what}"
+        models.append({"name": model.name, "what": what, "state": state})
     lines += [
         f"{model['name']:16s}{model['state']:10s}{model['what']}" for model in models
     ]

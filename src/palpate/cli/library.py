@@ -242,9 +242,9 @@ def check(
     as_json: AsJson = False,
 ) -> None:
     """Compare everything with its digests; exit code 1 where something is wrong."""
-    from ..library import check_library, repair_library
+    from ..library import TouchLibrary, check_library
 
-    repaired = repair_library(folder) if repair else None
+    repaired = TouchLibrary.repair_folder(folder) if repair else None
     report = check_library(folder)
     lines = [as_typed(str(report))]
     if repaired is not None and repaired.rebuilt:
@@ -292,9 +292,9 @@ def migrate(
 
     One that was stopped goes on when it is called again.
     """
-    from ..library import migrate_library
+    from ..library import TouchLibrary
 
-    report = migrate_library(old, new)
+    report = TouchLibrary.migrate(old, new)
     lines = [f"{counted(report.n_touches)} in {new}; {old} is as it was."]
     if report.lost:
         lines.append(

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from ..simulation import DomeCamera, SimObject, TacTipPins
     from ..touches import Touches
 
-SETS = ("household", "unseen", "shapes")
 # Share of the pitch that senses, where --sensing is not given (the paper's 1.3 / 2).
 SENSING_SHARE = 0.65
 
@@ -74,21 +73,22 @@ class DomeTouches:
     as_json: AsJson = False
 
     def make(self, camera: "DomeCamera | TacTipPins") -> None:
-        from ..simulation import OBJECT_SETS, Scene, simulate_touches
+        from .. import simulation
 
         things = find_objects(self.objects, self.unit)
-        shapes = [thing in OBJECT_SETS["shapes"] for thing in things]
+        basic = simulation.find_objects("shapes")
+        shapes = [thing in basic for thing in things]
         if any(shapes) and not all(shapes):
             raise ValueError(
                 "The basic shapes are touched from above, other objects from all "
                 "sides; simulate them into archives of their own."
             )
-        touches = simulate_touches(
+        touches = simulation.simulate_touches(
             things,
             self.touches,
             camera,
             "above" if all(shapes) else "hemisphere",
-            scene=Scene(
+            scene=simulation.Scene(
                 pose="any" if self.any_pose else "usual", aim_sd_mm=self.aim_sd
             ),
             drift=not self.no_drift,
@@ -238,12 +238,10 @@ def find_objects(names: list[str] | None, unit: str) -> "list[SimObject]":
     given_as: dict[str, str] = {}
     objects: list[SimObject] = []
     for name in names or ["household"]:
-        if name in SETS:
-            things = simulation.OBJECT_SETS[name]
-        elif Path(name).suffix.lower() in simulation.MESH_SUFFIXES:
-            things = (simulation.load_mesh(name, unit=unit),)
+        if Path(name).suffix.lower() in simulation.MESH_SUFFIXES:
+            things = [simulation.load_mesh(name, unit=unit)]
         else:
-            things = (simulation.find_object(name),)
+            things = simulation.find_objects(name)
         for thing in things:
             if thing.name in given_as:
                 raise ValueError(

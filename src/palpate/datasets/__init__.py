@@ -12,6 +12,5 @@ touches; it is made on this computer when first asked for, in seconds.
 
 from ._fetch import READY as READY
 from ._fetch import card, fetch, load, names, where
-from ._fetch import ready_models as ready_models
 
 __all__ = ["card", "fetch", "load", "names", "where"]

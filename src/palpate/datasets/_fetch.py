@@ -29,7 +29,7 @@ from errno import EACCES, EDQUOT, EIO, EMFILE, ENFILE, ENOSPC, EPERM, EROFS
 from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -65,12 +65,32 @@ _SEED = 0
 # few presses; the other objects of a `sim:` sensor are strangers.
 _OF_DOME = ("stapler", "toothbrush", "mug", "box", "pen", "ball")
 _OF_GEL = ("ball", "massage ball", "pen", "toothbrush")
-# Of each model: touches of each object, and what it knows, in words.
-READY: dict[str, tuple[int, str]] = {
-    "sim-array": (24, "twelve flat parts on the pressure array of sim:array"),
-    "sim-dome": (60, f"{', '.join(_OF_DOME)} under the dome camera of sim:dome"),
-    "sim-gel": (40, f"{', '.join(_OF_GEL)} on the gel, in colour, of sim:gel"),
-}
+
+
+class ReadyModel(NamedTuple):
+    """A model of what a simulated sensor touches; `fetch` makes it."""
+
+    name: str
+    what: str  # it knows, in words
+    n_touches: int  # of each object, that it learns
+
+    def file(self, folder: str | Path | None = None) -> Path:
+        """Return where its file is, or will be; `folder` is that of `fetch`."""
+        here = Path(folder) if folder else _cached()
+        return here / "models" / f"{self.name}-{_code()}.palpate"
+
+
+_MODELS = (
+    ReadyModel("sim-array", "twelve flat parts on the pressure array of sim:array", 24),
+    ReadyModel(
+        "sim-dome", f"{', '.join(_OF_DOME)} under the dome camera of sim:dome", 60
+    ),
+    ReadyModel(
+        "sim-gel", f"{', '.join(_OF_GEL)} on the gel, in colour, of sim:gel", 40
+    ),
+)
+# What `fetch` makes on this computer, by name.
+READY = {model.name: model for model in _MODELS}
 
 
 def names() -> tuple[str, ...]:
@@ -93,15 +113,6 @@ def where(folder: str | Path | None = None) -> Path:
     """
     named = folder or os.environ.get("PALPATE_DATA")
     return Path(named) if named else _cached()
-
-
-def ready_models(folder: str | Path | None = None) -> dict[str, tuple[str, Path]]:
-    """Return what each ready model knows, in words, and where its file is or will be.
-
-    `folder` is that of `fetch`.
-    """
-    here = Path(folder) if folder else _cached()
-    return {name: (what, _ready_file(name, here)) for name, (_, what) in READY.items()}
 
 
 def _cached() -> Path:
@@ -151,7 +162,7 @@ def fetch(
     is left.
     """
     if name in READY:
-        return _make_ready(name, Path(folder) if folder else _cached(), progress)
+        return _make_ready(READY[name], folder, progress)
     check_option("name", name, (*names(), *READY))
     description, here = card(name), where(folder)
     outputs: list[Path] = [here / place for place in description["makes"]]
@@ -404,16 +415,11 @@ def _explained(name: str, downloads: Path, seen: Path) -> Iterator[None]:
         ) from error
 
 
-def _ready_file(name: str, folder: Path) -> Path:
-    """Return where the model of `READY` is, or will be, within a folder."""
-    return folder / "models" / f"{name}-{_code()}.palpate"
-
-
-def _make_ready(name: str, folder: Path, say: Say | None) -> Path:
+def _make_ready(model: ReadyModel, folder: str | Path | None, say: Say | None) -> Path:
     """Return the file of a ready model, made first where it is not there."""
     from ..recognition import ObjectRecogniser
 
-    path = _ready_file(name, folder)
+    path = model.file(folder)
     if path.is_file():
         return path
     try:
@@ -421,29 +427,30 @@ def _make_ready(name: str, folder: Path, say: Say | None) -> Path:
         check_folder_of(path)
     except OSError as error:
         raise OSError(
-            f"{name} must be kept in a folder that may be written to, got {folder}: "
-            f"{error.strerror}. Set PALPATE_DATA_HOME to another one."
+            f"{model.name} must be kept in a folder that may be written to, got "
+            f"{path.parents[1]}: {error.strerror}. Set PALPATE_DATA_HOME to "
+            "another one."
         ) from error
     if say is not None:
-        say(f"{name}: simulating touches and learning them, once")
-    ObjectRecogniser().fit(_ready_touches(name)).save(path)
-    for older in path.parent.glob(f"{name}-*.palpate"):
+        say(f"{model.name}: simulating touches and learning them, once")
+    ObjectRecogniser().fit(_ready_touches(model)).save(path)
+    for older in path.parent.glob(f"{model.name}-*.palpate"):
         if older != path:
             older.unlink(missing_ok=True)
     return path
 
 
-def _ready_touches(name: str) -> Touches:
+def _ready_touches(model: ReadyModel) -> Touches:
     """Return the touches that a ready model learns: as its `sim:` sensor gives them."""
     from .. import simulation
 
-    n_touches = READY[name][0]
+    n_touches = model.n_touches
     how: dict[str, Any] = {"random_state": _SEED}
-    if name == "sim-array":
+    if model.name == "sim-array":
         array = simulation.PressureArray()
         return simulation.simulate_presses(None, n_touches, array=array, **how)
     how |= {"drift": False}
-    if name == "sim-gel":
+    if model.name == "sim-gel":
         gel = simulation.GelCamera(image_shape=(120, 160))
         return simulation.simulate_touches(_OF_GEL, n_touches, gel, **how)
     dome = simulation.DomeCamera(image_shape=(120, 120))

@@ -20,7 +20,6 @@ from .._checks import check_count, check_number, check_option
 from .._parallel import in_parallel, on_one_thread
 from ..sensors import SimulatedBench, SimulatedSensor
 from ..simulation import (
-    HOUSEHOLD,
     DomeCamera,
     PlacedObject,
     SensorPose,
@@ -242,7 +241,7 @@ def explore_to_learn(
             "folder must be None where guarded is False, got "
             f"{str(folder)!r}. Only guarded attempts are kept."
         )
-    objects = find_objects(HOUSEHOLD if things is None else things)
+    objects = find_objects(things)
     check_count("random_state", random_state, at_least=0)
     count = check_count("n_touches", n_touches)
     sessions = min(check_count("n_sessions", n_sessions), count)

@@ -31,7 +31,7 @@ from .._checks import check_count, check_number, check_option
 from .._extras import missing
 from .._numbers import log_softmax
 from .._types import Array, Floats
-from ..simulation import HOUSEHOLD, DomeCamera, find_objects
+from ..simulation import DomeCamera, find_objects
 from ._guarded import Guard
 from ._record import TouchRecord
 from ._simulated_objects import Stand, put_down
@@ -122,7 +122,7 @@ class TouchEnv(gymnasium.Env[Any, Any]):
         guard: Guard | None = None,
         render_mode: str | None = None,
     ) -> None:
-        self._things = find_objects(HOUSEHOLD if objects is None else objects)
+        self._things = find_objects(objects)
         self.object_names = [thing.name for thing in self._things]
         self.camera = DomeCamera((64, 64), n_nodes=24) if camera is None else camera
         self.max_touches = check_count("max_touches", max_touches)

@@ -7,12 +7,9 @@ from ._adding import SensorDescription
 from ._adding import TouchRow as TouchRow
 from ._bags import is_recording as is_recording
 from ._bags import read_bag
-from ._changes import checked_name as checked_name
-from ._checking import check_library
 from ._library import TouchLibrary
-from ._migrating import migrate_library as migrate_library
-from ._repairing import repair_library as repair_library
 from ._store import LibraryError
+from ._upkeep import check_library
 from ._where import quoted
 
 __all__ = [

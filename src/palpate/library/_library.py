@@ -21,9 +21,9 @@ from ._changes import (
     make_change,
     object_row,
 )
-from ._checking import CheckReport, check_library, check_store
 from ._content import id_bytes
 from ._exchange import export_touches
+from ._migrating import MigrationReport, migrate_library
 from ._reading import (
     IN_MEMORY,
     NO_LIMIT,
@@ -31,7 +31,6 @@ from ._reading import (
     newest_no_contact,
     sound_numbers,
 )
-from ._repairing import RepairReport, backup_library, repair_library
 from ._rows import (
     FROM,
     Numbers,
@@ -49,6 +48,14 @@ from ._store import (
     is_unicode,
     make_folder,
     warn_of_network,
+)
+from ._upkeep import (
+    CheckReport,
+    RepairReport,
+    backup_library,
+    check_library,
+    check_store,
+    repair_library,
 )
 from ._where import objects_named
 
@@ -84,6 +91,8 @@ class TouchLibrary:
     ['cup', 'pen']
     """
 
+    checked_name = staticmethod(checked_name)
+
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
         self._store = Store(self.folder)
@@ -92,8 +101,8 @@ class TouchLibrary:
         warn_of_network(self.folder)
         if lost := self._store.lost():
             warnings.warn(
-                f"{lost} Add them again, or put a backup back; `repair_library` "
-                "accepts it as it is.",
+                f"{lost} Add them again, or put a backup back; "
+                "`TouchLibrary.repair_folder` accepts it as it is.",
                 stacklevel=3,
             )
 
@@ -120,6 +129,54 @@ class TouchLibrary:
     def is_library(folder: str | Path) -> bool:
         """Tell whether `folder` holds a library, even one whose database is lost."""
         return any((Path(folder) / name).is_file() for name in (FILE_NAME, COUNT_NAME))
+
+    @staticmethod
+    def migrate(
+        old: str | Path, new: str | Path, *, progress: bool | None = None
+    ) -> MigrationReport:
+        """Make a library of today of one of format 1 or 2, which stays as it is.
+
+        One that was stopped goes on where it was when it is called again.
+
+        Parameters
+        ----------
+        old, new : path
+            The old library, and a new or empty folder.
+        progress : bool, optional
+            Show a bar on standard error when it takes over two seconds; by default
+            where that is a terminal.
+
+        Raises
+        ------
+        LibraryError
+            `old` is no such library, `new` is not empty, or the disk is full.
+        """
+        return migrate_library(Path(old), Path(new), progress)
+
+    @staticmethod
+    def repair_folder(
+        folder: str | Path, *, progress: bool | None = None
+    ) -> RepairReport:
+        """Make a new database of what is whole in a damaged one; nothing is deleted.
+
+        Touches keep their ids and their order. The damaged database goes to `damaged/`
+        in the library when the new one is complete. Touches that are lost can be added
+        again. Nobody else may be writing meanwhile.
+
+        Parameters
+        ----------
+        folder : path
+            The library, which need not open.
+        progress : bool, optional
+            As for `check_library`.
+
+        Raises
+        ------
+        LibraryError
+            There is no library, another palpate made it, nothing of it can be read, or
+            the disk is full or not to be read: then the library is left as it was.
+        """
+        return repair_library(Path(folder), progress)
 
     def __enter__(self) -> Self:
         return self
@@ -441,10 +498,10 @@ class TouchLibrary:
         return check_library(self.folder, progress=progress)  # others go on meanwhile
 
     def repair(self, *, progress: bool | None = None) -> RepairReport:
-        """Keep what is whole and set the damaged file aside; see `repair_library`."""
+        """Keep what is whole and set the damaged file aside; see `repair_folder`."""
         self.close()
         try:
-            return repair_library(self.folder, progress=progress)
+            return repair_library(self.folder, progress)
         finally:
             self._store = Store(self.folder)
             self._tables = Tables(self._store)

@@ -37,7 +37,6 @@ from ._content import (
     stored_image,
     wide_identities,
 )
-from ._repairing import enter_all
 from ._rows import OBJECT_NAMES, RECORDED, Batch, Recording, new_rows
 from ._store import (
     FILE_NAME,
@@ -47,6 +46,7 @@ from ._store import (
     make_folder,
     refuse_used,
 )
+from ._upkeep import enter_all
 
 _BEGUN = ".migrating.sqlite"
 _AT_ONCE = 256  # touches in one transaction
@@ -82,27 +82,8 @@ class MigrationReport(NamedTuple):
     lost_arrays: list[str]
 
 
-def migrate_library(
-    old: str | Path, new: str | Path, *, progress: bool | None = None
-) -> MigrationReport:
-    """Make a library of today of one of format 1 or 2, which stays as it is.
-
-    One that was stopped goes on where it was when it is called again.
-
-    Parameters
-    ----------
-    old, new : path
-        The old library, and a new or empty folder.
-    progress : bool, optional
-        Show a bar on standard error when it takes over two seconds; by default where
-        that is a terminal.
-
-    Raises
-    ------
-    LibraryError
-        `old` is no such library, `new` is not empty, or the disk is full.
-    """
-    old, new = Path(old), Path(new)
+def migrate_library(old: Path, new: Path, progress: bool | None) -> MigrationReport:
+    """Make a library of today of an old one; see `TouchLibrary.migrate`."""
     begun = new / _BEGUN
     if not begun.is_file() or (new / FILE_NAME).exists():  # a library was made there
         refuse_used(new)

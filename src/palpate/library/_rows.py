@@ -230,8 +230,8 @@ def rows_at(
         if bad and damaged == "raise":
             raise LibraryError(
                 f"Rows of touches must be as they were written, got others: "
-                f"{listed(bad, _IDS_LISTED)}. `repair_library` keeps the rest; "
-                'damaged="skip" leaves them out.'
+                f"{listed(bad, _IDS_LISTED)}. `TouchLibrary.repair_folder` keeps the "
+                'rest; damaged="skip" leaves them out.'
             )
         yield sound if names is called else [row.as_called(called) for row in sound]
     if bad:
@@ -288,7 +288,7 @@ class StoredImage(NamedTuple):
                     return image
         raise LibraryError(
             f"Touch {self.row.key.hex()}: its image must be as it was added, got "
-            f"{got}. `repair_library` keeps all others."
+            f"{got}. `TouchLibrary.repair_folder` keeps all others."
         )
 
 

@@ -32,7 +32,7 @@ _Ticket = tuple[Callable[[], Any], Future[Any]]
 FILE_NAME, COUNT_NAME = "library.sqlite", "library.count"
 FEATURES, DAMAGED = "features", "damaged"
 VERSION = 3  # 1 and 2 had images in files of their own
-OLD_VERSIONS = (1, 2)  # migrate_library reads them
+OLD_VERSIONS = (1, 2)  # `TouchLibrary.migrate` reads them
 PATIENCE_S = 60.0  # for another program that writes
 _PATIENCE_ALONE_S = 2.0  # where the file is opened for this program alone
 AT_ONCE = 512  # so many touches stand in one query, and in one task of a worker
@@ -519,7 +519,7 @@ class Store:
         if application == _APPLICATION and version in OLD_VERSIONS:
             raise OtherVersion(
                 f"{self.folder} is a library of format {version}, and {VERSION} is "
-                f"today's. `migrate_library({self.folder}, NEW)` makes one of "
+                f"today's. `TouchLibrary.migrate({self.folder}, NEW)` makes one of "
                 "today of it; the old one stays as it is."
             )
         if version != VERSION or application != _APPLICATION:
@@ -662,8 +662,8 @@ _FREE = (
     "may be written to, and try again; what was acknowledged is kept."
 )
 REPAIR = (
-    "It is damaged; `repair_library` keeps what can be read, and the damaged file as "
-    "well."
+    "It is damaged; `TouchLibrary.repair_folder` keeps what can be read, and the "
+    "damaged file as well."
 )
 _WAIT = "Another program has been writing for a minute; wait, or end it."
 _CHECK = "Check that the folder may be written to, and call `check_library`."

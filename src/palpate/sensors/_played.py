@@ -22,10 +22,10 @@ from .._checks import ARRAY_SIDE, check_count, check_option, check_positive
 from .._numbers import evenly_spaced
 from .._types import Array
 from ..simulation import (
-    OBJECT_SETS,
     DomeCamera,
     GelCamera,
     PressureArray,
+    find_objects,
     find_parts,
 )
 from ..touches import Touches, TouchesError
@@ -345,7 +345,7 @@ class SimulatedStream(PlayedSensor):
         random_state: int = 0,
     ) -> None:
         sets = ("household", "unseen", "unlike others")
-        solids = [thing.name for kind in sets for thing in OBJECT_SETS[kind]]
+        solids = [thing.name for thing in find_objects(sets)]
         parts = [part.name for part in find_parts()]
         check_option("sim:OBJECT", name, [*_KINDS, *solids, *parts])
         kind = name if name in _KINDS else "dome" if name in solids else "array"

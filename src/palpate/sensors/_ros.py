@@ -11,8 +11,7 @@ from .._checks import check_count, check_option, check_positive
 from .._types import Array
 from ..touches import TouchesError, frame_reader
 from ._contract import LiveSensor, Reading, SensorError
-from ._dds import DdsNode, DdsReader
-from ._zenoh import ZenohNode, ZenohReader
+from ._ros_wires import DdsNode, DdsReader, ZenohNode, ZenohReader
 from .ros import MAX_MESSAGE, Header, read_message
 
 # What carries topics: both have these methods and attributes.

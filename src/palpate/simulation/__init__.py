@@ -13,17 +13,15 @@ from ._dome import DomeCamera
 from ._dome import DomePress as DomePress
 from ._gel_and_pins import GelCamera, TacTipPins
 from ._membrane import Membrane
-from ._mesh import MESH_SUFFIXES as MESH_SUFFIXES
-from ._mesh import load_mesh
 from ._objects import HOUSEHOLD as HOUSEHOLD
-from ._objects import OBJECT_SETS as OBJECT_SETS
 from ._objects import find_object
 from ._objects import find_objects as find_objects
 from ._optics import Lighting
 from ._parts import Part
 from ._parts import find_parts as find_parts
-from ._placed import PlacedObject, SensorPose, SimObject
 from ._simulate import Scene, simulate_presses, simulate_touches
+from ._solids import MESH_SUFFIXES as MESH_SUFFIXES
+from ._solids import PlacedObject, SensorPose, SimObject, load_mesh
 
 __all__ = [
     "DomeCamera",

@@ -18,7 +18,7 @@ from .._parallel import opencv_on_one_thread
 from .._types import Floats
 from ._membrane import Contact, Membrane
 from ._optics import SURROUND_GREY, Optics, Plane
-from ._placed import PlacedObject, SensorPose, SimObject, distances_ahead
+from ._solids import PlacedObject, SensorPose, SimObject, distances_ahead
 
 Frame = NDArray[np.uint8]
 _LEAST_SIDE = 8

@@ -1,7 +1,7 @@
 """Objects to touch, built in code, and the sets of them that the papers used.
 
 `HOUSEHOLD` are the ten objects of Corradi 2015 (doi:10.1109/ICRA.2015.7139744). In
-`OBJECT_SETS` are, too, its five variants never touched in training ("unseen"), the
+`find_objects` knows, too, its five variants never touched in training ("unseen"), the
 seven shapes of Corradi 2014 ("shapes"; TAROS, Birmingham), and what resembles none.
 Corradi 2015 shows photographs without sizes: these are ordinary objects of each kind,
 every size a guess within what shops sell. Sizes are in millimetres, z points up.
@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from .._checks import did_you_mean
 from .._types import Floats
-from ._placed import Mesh, SimObject, trimesh, turned
+from ._solids import Mesh, SimObject, trimesh, turned
 
 
 def find_object(name: str) -> SimObject:
@@ -33,7 +33,7 @@ def find_object(name: str) -> SimObject:
     ValueError
         There is none; the message lists the names.
     """
-    things = {thing.name: thing for thing in chain(*OBJECT_SETS.values())}
+    things = {thing.name: thing for thing in chain(*_SETS.values())}
     if name in things:
         return things[name]
     raise ValueError(
@@ -43,12 +43,15 @@ def find_object(name: str) -> SimObject:
 
 
 def find_objects(
-    objects: Iterable[SimObject | str] | SimObject | str,
+    objects: Iterable[SimObject | str] | SimObject | str | None = None,
 ) -> list[SimObject]:
-    """Return objects, which are objects or names of built-in ones, singly or listed.
+    """Return objects, or those of names and of sets, by default the household ones.
 
-    None of one name: their touches would be taken for those of one.
+    Sets are "household", "unseen", "unlike others" and "shapes". No two objects of one
+    name: their touches would be taken for those of one.
     """
+    if objects is None:
+        objects = "household"
     if isinstance(objects, str) or not isinstance(objects, Iterable):
         objects = [objects]
     requested = list(objects)
@@ -56,18 +59,24 @@ def find_objects(
         raise ValueError("objects must name at least one object, got none.")
     things: dict[str, SimObject] = {}
     for item in requested:
-        if not isinstance(item, SimObject | str):
+        named: tuple[SimObject, ...]
+        if isinstance(item, SimObject):
+            named = (item,)
+        elif isinstance(item, str):
+            named = _SETS.get(item) or (find_object(item),)
+        else:
             raise TypeError(
                 f"objects must be SimObject or names, got {type(item).__name__}. "
                 "Read a mesh file with load_mesh(path)."
             )
-        thing = find_object(item) if isinstance(item, str) else item
-        if thing.name in things:
-            raise ValueError(
-                f"objects must have names of their own, got {thing.name!r} twice. "
-                "Leave one out, or give a mesh another name: load_mesh(path, name=...)."
-            )
-        things[thing.name] = thing
+        for thing in named:
+            if thing.name in things:
+                raise ValueError(
+                    f"objects must have names of their own, got {thing.name!r} twice. "
+                    "Leave one out, or give a mesh another name: "
+                    "load_mesh(path, name=...)."
+                )
+            things[thing.name] = thing
     return list(things.values())
 
 
@@ -415,7 +424,7 @@ HOUSEHOLD = (
 )
 
 # What the papers used, and what resembles none of it, by what the sets are called.
-OBJECT_SETS = {
+_SETS = {
     "household": HOUSEHOLD,
     "unseen": (
         SimObject("plastic card", "card", plastic_card, (_UPSIDE,)),

@@ -20,9 +20,9 @@ from ..touches import Touches
 from ._array import Press, PressureArray
 from ._dome import DomeCamera, DomePress, Frame
 from ._gel_and_pins import GelCamera, TacTipPins
-from ._objects import HOUSEHOLD, find_objects
+from ._objects import find_objects
 from ._parts import Part, find_parts
-from ._placed import PlacedObject, SensorPose, SimObject
+from ._solids import PlacedObject, SensorPose, SimObject
 
 _PER_TASK = 25, 50  # touches, presses
 _ATTEMPTS = 50
@@ -127,8 +127,8 @@ def simulate_touches(
     Parameters
     ----------
     objects : SimObject, str, or an iterable of them, optional
-        What to touch; a text names a built-in object. By default the ten
-        household objects.
+        What to touch; a text names a built-in object, or a set of them: "household"
+        (the default), "unseen", "unlike others" or "shapes".
     n_touches : int, default=60
         Touches of each object.
     camera : DomeCamera, TacTipPins or GelCamera, optional
@@ -193,7 +193,7 @@ def simulate_touches(
     >>> simulate_touches(["mug", "pen"], 2, random_state=0).images.shape
     (4, 120, 120)
     """
-    things = find_objects(HOUSEHOLD if objects is None else objects)
+    things = find_objects(objects)
     sensor: Any = DomeCamera(image_shape=(120, 120)) if camera is None else camera
     if not isinstance(sensor, DomeCamera | TacTipPins | GelCamera):
         what = "a DomeCamera, TacTipPins or GelCamera"

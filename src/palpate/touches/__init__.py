@@ -7,16 +7,14 @@ Pillow are imported when the first picture is decoded.
 
 from ._columns import TouchesError
 from ._containers import frame_reader as frame_reader
-from ._folder import PICTURES as PICTURES
 from ._folder import PictureCheck as PictureCheck
-from ._folder import check_folder as check_folder
 from ._layout import levels_pattern as levels_pattern
 from ._parquet import url_of as url_of
 from ._parquet import write_parquet as write_parquet
 from ._pictures import decode_bytes
 from ._pictures import png_bytes as png_bytes
 from ._sources import ParquetTouches as ParquetTouches
-from ._sources import TouchSource, read_folder, read_parquet
+from ._sources import TouchSource, read_parquet
 from ._touches import Labelled as Labelled
 from ._touches import Touches
 
@@ -25,6 +23,5 @@ __all__ = [
     "Touches",
     "TouchesError",
     "decode_bytes",
-    "read_folder",
     "read_parquet",
 ]

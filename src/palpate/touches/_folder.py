@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._checks import listed, nearest_path
-from .._types import FILMS, RGB, Array
+from .._types import FILMS, PICTURES, RGB, Array
 from . import _pictures
 from ._columns import Arrays, TouchesError
 from ._containers import CONTAINERS
@@ -42,7 +42,6 @@ from ._pictures import (
 from ._tables import TABLES, folder_levels
 
 _GREY_DIFFERS = 8.0  # levels of 255, in the mean over a picture
-PICTURES = (".jpg", ".jpeg", ".png")
 _ONE_TOUCH_A_FILE = tuple(
     ending for ending in CONTAINERS if ending not in (".zarr", ".mat")
 )
@@ -75,6 +74,8 @@ class PictureCheck:
     lost : dict of str to BadPicture
         Objects of which no picture can be used, where some of others can, and the
         first of each.
+    others : dict of str to list of str
+        Other files, by their endings; without a JPEG or PNG those of BMP and WebP.
     """
 
     bad: list[BadPicture] = field(default_factory=list)
@@ -86,6 +87,46 @@ class PictureCheck:
     grey: list[str] = field(default_factory=list)
     empty: list[str] = field(default_factory=list)
     lost: dict[str, BadPicture] = field(default_factory=dict)
+    others: dict[str, list[str]] = field(default_factory=dict)
+
+    @staticmethod
+    def of_folder(
+        root: Path,
+        *,
+        name_pattern: str | None = None,
+        levels: str | None = None,
+        no_contact: str | PathLike[str] | None = None,
+        colour: bool = False,
+        max_pixels: int = 50_000_000,
+    ) -> "PictureCheck":
+        """Look at every JPEG and PNG of a folder, and of the folders in it.
+
+        Raises TouchesError where the pictures are not what is read, or folders mean
+        nothing.
+        """
+        files: dict[str, list[str]] = {}
+        for name in sorted(_files(root), key=_natural_order):
+            ending = Path(name).suffix.lower() or "no ending"
+            files.setdefault(ending, []).extend([name] * (name != LABELS))
+        if not {*files} & {*PICTURES}:
+            return PictureCheck(others={e: files[e] for e in _GREY & {*files}})
+        root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
+        if (kind := Path(names[0]).suffix).lower() not in PICTURES:
+            raise TouchesError(
+                f"{root} must hold pictures to be looked at, got {kind} files. What is "
+                "wrong with one of these is said when they are read."
+            )
+        check = _checked(root, names, pattern, max_pixels, colour)
+        empty = [here for here, folders, inside in _walk(root) if not folders + inside]
+        check.empty = sorted((f"{e.as_posix()}/" for e in empty), key=_natural_order)
+        others = sorted({ending for ending in files if files[ending]} - {*PICTURES})
+        check.others = {ending: files[ending] for ending in others}
+        return check
+
+    @property
+    def is_of_pictures(self) -> bool:
+        """Whether a JPEG or PNG was looked at."""
+        return bool(self.usual or self.bad)
 
 
 def folder_arrays(
@@ -99,7 +140,7 @@ def folder_arrays(
     max_bytes: int,
     progress: bool | None,
 ) -> tuple[Arrays, list[bytes] | None]:
-    """Return what `Touches` is made of, and files of pictures; see `read_folder`."""
+    """Return what `Touches` is made of, and files of pictures; see `Touches.load`."""
     root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
     are_arrays = Path(names[0]).suffix.lower() in (*TABLES, *_ONE_TOUCH_A_FILE)
     if are_arrays and (colour or skip_bad or no_contact is not None):
@@ -126,40 +167,6 @@ def folder_arrays(
     images, files = decode_pictures(paths, header, **limits)
     columns["source_path"] = np.array(names)
     return {"images": images, **whole, **columns}, files
-
-
-def check_folder(
-    root: Path,
-    *,
-    name_pattern: str | None = None,
-    levels: str | None = None,
-    no_contact: str | PathLike[str] | None = None,
-    colour: bool = False,
-    max_pixels: int = 50_000_000,
-) -> tuple[PictureCheck | None, dict[str, list[str]]]:
-    """Look at every JPEG and PNG of a folder; list the other files by their endings.
-
-    None, and files of BMP and WebP alone, where there is none in it, nor in a folder
-    of it. Raises TouchesError where the pictures are not what is read, or folders mean
-    nothing.
-    """
-    files: dict[str, list[str]] = {}
-    for name in sorted(_files(root), key=_natural_order):
-        ending = Path(name).suffix.lower() or "no ending"
-        files.setdefault(ending, []).extend([name] * (name != LABELS))
-    if not {*files} & {*PICTURES}:
-        return None, {ending: files[ending] for ending in _GREY & {*files}}
-    root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
-    if Path(names[0]).suffix.lower() not in PICTURES:
-        raise TouchesError(
-            f"{root} must hold pictures to be looked at, got {Path(names[0]).suffix} "
-            "files. What is wrong with one of these is said when they are read."
-        )
-    check = _checked(root, names, pattern, max_pixels, colour)
-    empty = [here for here, folders, inside in _walk(root) if not folders + inside]
-    check.empty = sorted((f"{here.as_posix()}/" for here in empty), key=_natural_order)
-    others = sorted({ending for ending in files if files[ending]} - {*PICTURES})
-    return check, {ending: files[ending] for ending in others}
 
 
 def _chosen(
@@ -371,11 +378,6 @@ def _like(path: Path, like: Header, max_pixels: int) -> Array:
 
 
 def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
-    if not root.is_dir():
-        raise TouchesError(
-            f"{root} must be a folder of pictures, got none there. "
-            f"{nearest_path(root) or 'Check the path.'}"
-        )
     try:
         files = _files(root)
         there = {Path(name).suffix.lower() for name in files}
@@ -422,6 +424,11 @@ def _walk(root: Path) -> Iterator[tuple[Path, list[str], list[str]]]:
 
 def _files(root: Path) -> list[str]:
     """Return all files below `root` but hidden ones."""
+    if not root.is_dir():
+        raise TouchesError(
+            f"{root} must be a folder of pictures, got none there. "
+            f"{nearest_path(root) or 'Check the path.'}"
+        )
     paths = [here / name for here, _, files in _walk(root) for name in files]
     return [path.as_posix() for path in paths if not path.name.startswith(".")]
 

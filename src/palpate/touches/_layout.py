@@ -244,7 +244,7 @@ def _refuse_odd(names: Sequence[str], pattern: re.Pattern[str] | None) -> None:
 
 
 def labels_of_folders(names: Sequence[str]) -> Arrays:
-    """Return labels from the levels of folders above pictures; see `read_folder`."""
+    """Return labels from the levels of folders above pictures; see `Touches.load`."""
     _refuse_odd(names, None)
     folders = [name.split("/")[:-1] for name in names]
     if not folders[0]:

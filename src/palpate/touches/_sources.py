@@ -1,4 +1,4 @@
-"""Touches of folders and of Parquet: all at once, some at a time, or none held.
+"""Touches of Parquet, some at a time or none held.
 
 Of Parquet that is learnt from without being held, labels and other short columns are
 read at once, images block by block: a block is one row group of one file. Workers get
@@ -26,7 +26,6 @@ from ._columns import (
     checked_column,
     common_whole,
 )
-from ._folder import folder_arrays
 from ._parquet import (
     file_stamp,
     is_parquet,
@@ -88,80 +87,6 @@ class TouchSource(Protocol):
     def features(self, key: str, encode: Callable[[Touches], Floats]) -> Floats:
         """Return features of all touches, made by `encode` or kept under `key`."""
         ...
-
-
-def read_folder(
-    path: str | PathLike[str],
-    *,
-    name_pattern: str | None = None,
-    no_contact: str | PathLike[str] | None = None,
-    levels: str | None = None,
-    colour: bool = False,
-    skip_bad: bool = False,
-    max_pixels: int = MAX_PIXELS,
-    max_bytes: int = MAX_BYTES,
-    progress: bool | None = None,
-) -> Touches:
-    r"""Read all JPEG and PNG pictures in a folder and the folders in it.
-
-    Pictures come in natural order of their paths (`img_2` before `img_10`), upright as
-    their Exif orientation says: colour becomes grey unless `colour` is set, 16 bits
-    stay 16 bits. Hidden files and files of other kinds are skipped.
-
-    Parameters
-    ----------
-    path : path
-        The folder.
-    name_pattern : str, optional
-        Regular expression, searched in each file name, else in its path within the
-        folder. Named groups become columns: `object`, `category` and `session`
-        (text), `n` or `order` (`order`, integers), `x`, `y`, `z` (`position_raw`),
-        `x_mm`, `y_mm`, `z_mm` (`position_mm`), any other name (numbers where all are
-        numbers, else text). Where it has no group `object`, folders give labels
-        as they do without a pattern: one level of folders is the object; of more,
-        the first is the category and the whole path the object; pictures that lie
-        in no folder have no labels. A level of sessions (`mug/dataset_0`) is the
-        session, and a last level that is the same everywhere (`frames`) is left out.
-    levels : str, optional
-        What each level of folders is, such as "object/session"; "-" skips a level,
-        "=gel" reads its folder `gel` alone.
-    no_contact : path, optional
-        Picture of the sensor touching nothing, as large and deep as the others.
-    colour : bool, default=False
-        Read pictures in colour, as channels "r", "g" and "b"; one in grey is refused.
-    skip_bad : bool, default=False
-        Leave out pictures that cannot be read, differ from most or get no label, with
-        a warning that names them.
-    max_pixels : int, default=50_000_000
-        Largest picture to decode, in pixels.
-    max_bytes : int, default=4 GiB
-        Most memory that all images may take.
-    progress : bool, optional
-        Show a bar on standard error when decoding takes over two seconds; by
-        default where standard error is a terminal.
-
-    Raises
-    ------
-    TouchesError
-        A picture is damaged, unlike the others or of a kind that is not read; a
-        name does not match; folders label some pictures only, or hold the parts of a
-        set (`train`, `test`) or the pictures of several cameras. Nothing is returned
-        in part.
-
-    Notes
-    -----
-    The path of each picture within the folder is kept as `source_path`. A JPEG has
-    no checksum: one that is cut short is refused, flipped bits inside it may not be.
-
-    Examples
-    --------
-    >>> pattern = r"img_(?P<n>\d+)_name_(?P<object>\w+?)_at_(?P<x>\d+)_"
-    >>> touches = read_folder("originals", name_pattern=pattern)  # doctest: +SKIP
-    """
-    how = (name_pattern, levels, no_contact, colour, skip_bad)
-    limits = (max_pixels, max_bytes, progress)
-    arrays, files = folder_arrays(Path(path), *how, *limits)
-    return Touches(**arrays)._with_files(files)
 
 
 def read_parquet(

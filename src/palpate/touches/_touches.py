@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import listed, nearest_path
 from .._extras import needed
-from .._types import FILMS, Array
+from .._types import FILMS, PICTURES, Array
 from . import _columns
 from ._archive import read_archive, write_archive
 from ._columns import (
@@ -31,7 +31,7 @@ from ._columns import (
     frozen,
 )
 from ._containers import CONTAINERS, RAW, container_arrays, raw_arrays
-from ._folder import PICTURES, folder_arrays, no_contact_picture, shows_colour
+from ._folder import folder_arrays, no_contact_picture, shows_colour
 from ._parquet import is_parquet, parquet_parts
 from ._tables import TABLES, TEXTS, csv_arrays, load_levels, table_arrays
 
@@ -221,7 +221,11 @@ class Touches(Labelled):
         max_bytes: int = MAX_BYTES,
         progress: bool | None = None,
     ) -> Self:
-        """Read a touch archive, a folder, a picture, an array or a table.
+        r"""Read a touch archive, a folder, a picture, an array or a table.
+
+        Pictures of a folder, and of the folders in it, come in natural order of their
+        paths (`img_2` before `img_10`), upright as their Exif orientation says; 16 bits
+        stay 16 bits. Hidden files and files of other kinds are skipped.
 
         Parameters
         ----------
@@ -232,13 +236,30 @@ class Touches(Labelled):
             columns (`.txt`), one touch a line; HDF5 (`.h5`, `.hdf5`), `.zarr`, TIFF
             (one touch a page), `.mat` of MATLAB, `.bmp`, `.webp`; frames without a
             header (`.raw`, `.bin`, `.dat`).
-        name_pattern, levels, skip_bad
-            For folders: see `read_folder`.
+        name_pattern : str, optional
+            Of a folder, a regular expression, searched in each file name, else in its
+            path within the folder. Named groups become columns: `object`, `category`
+            and `session` (text), `n` or `order` (`order`, integers), `x`, `y`, `z`
+            (`position_raw`), `x_mm`, `y_mm`, `z_mm` (`position_mm`), any other name
+            (numbers where all are numbers, else text). Where it has no group `object`,
+            folders give labels as they do without a pattern: one level of folders is
+            the object; of more, the first is the category and the whole path the
+            object; pictures that lie in no folder have no labels. A level of sessions
+            (`mug/dataset_0`) is the session, and a last level that is the same
+            everywhere (`frames`) is left out.
         no_contact : path, optional
-            Picture of the sensor touching nothing; it takes the place of one in
-            the archive, and is no touch when it lies in the folder.
+            Picture of the sensor touching nothing, as large and deep as the others; it
+            takes the place of one in the archive, and is no touch when it lies in the
+            folder.
+        levels : str, optional
+            What each level of folders is, such as "object/session"; "-" skips a level,
+            "=gel" reads its folder `gel` alone.
         colour : bool, default=False
-            For pictures: see `read_folder`.
+            Read pictures in colour, as channels "r", "g" and "b"; one in grey is
+            refused. Else colour becomes grey.
+        skip_bad : bool, default=False
+            Leave out pictures that cannot be read, differ from most or get no label,
+            with a warning that names them.
         shape : (int, int), optional
             Of a CSV file, the rows and columns of its taxels; of frames without a
             header, theirs.
@@ -247,14 +268,34 @@ class Touches(Labelled):
         channels : sequence of str, optional
             Of a table, frames without a header and files of other programs, what each
             taxel measures: its numbers follow each other, as ("x", "y", "z").
-        max_pixels, max_bytes, progress
-            As for `read_folder`; `max_bytes` counts for archives too, before anything
-            is inflated.
+        max_pixels : int, default=50_000_000
+            Largest picture to decode, in pixels.
+        max_bytes : int, default=4 GiB
+            Most memory that all images may take; of an archive before anything is
+            inflated.
+        progress : bool, optional
+            Show a bar on standard error when decoding takes over two seconds; by
+            default where standard error is a terminal.
 
         Raises
         ------
         TouchesError
-            The file or folder cannot be read as touches; it names the file and fix.
+            The file or folder cannot be read as touches; it names the file and fix. A
+            picture is damaged, unlike the others or of a kind that is not read; a name
+            does not match; folders label some pictures only, or hold the parts of a set
+            (`train`, `test`) or the pictures of several cameras. Nothing is returned in
+            part.
+
+        Notes
+        -----
+        The path of each picture within a folder is kept as `source_path`. A JPEG has
+        no checksum: one that is cut short is refused, flipped bits inside it may not
+        be.
+
+        Examples
+        --------
+        >>> pattern = r"img_(?P<n>\d+)_name_(?P<object>\w+?)_at_(?P<x>\d+)_"
+        >>> touches = Touches.load("originals", name_pattern=pattern)  # doctest: +SKIP
         """
         kind, place = _kind_of(path), Path(path)
         channels = list(channels) if channels else None

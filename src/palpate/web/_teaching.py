@@ -20,7 +20,6 @@ from ..library import (
     SensorDescription,
     TouchLibrary,
     TouchRow,
-    checked_name,
     quoted,
 )
 from ..sensors import LiveSensor
@@ -582,7 +581,7 @@ def teachable_name(name: str) -> str:
     tidy = " ".join(name.split())
     if not tidy:
         raise ValueError("The name of an object must not be blank. Give one.")
-    tidy = checked_name(tidy)
+    tidy = TouchLibrary.checked_name(tidy)
     if len(tidy) > LONGEST_NAME:
         raise ValueError(
             f"The name of an object must have at most {LONGEST_NAME} characters, got "

@@ -15,7 +15,7 @@ from ...images import (
     DomeCrop,
     repose,
 )
-from ...simulation import OBJECT_SETS, TacTipPins, simulate_touches
+from ...simulation import TacTipPins, simulate_touches
 from ...touches import Touches
 from .. import Archive, Codes, Plan, coded
 
@@ -145,7 +145,7 @@ def simulated_shapes(plan: Corradi2014Plan) -> Iterator[Shapes]:
     """Press the seven shapes with the dome and with its pins, ten recordings each."""
     for data, camera in (("simulated", None), ("simulated-pins", TacTipPins())):
         touches = simulate_touches(
-            OBJECT_SETS["shapes"],
+            "shapes",
             plan.n_touches,
             camera,
             "above",

@@ -19,7 +19,7 @@ from ..._types import Bools, Floats, Singles
 from ...evaluation import brightness, without_contact
 from ...images import DomeCrop
 from ...recognition import PRESETS
-from ...simulation import HOUSEHOLD, OBJECT_SETS, simulate_touches
+from ...simulation import HOUSEHOLD, simulate_touches
 from ...touches import Touches
 from .. import Codes, Plan, labels
 
@@ -114,7 +114,7 @@ class Objects:
 def simulated_objects(plan: Corradi2015Plan, workers: int) -> Objects:
     """Touch the ten objects and five unseen ones with a camera that never drifts."""
     touches = simulate_touches(
-        HOUSEHOLD + OBJECT_SETS["unseen"],
+        ["household", "unseen"],
         plan.n_simulated,
         drift=False,
         random_state=plan.seed,
