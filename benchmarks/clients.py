@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from palpate.sensors._ros import RosSensor
-from palpate.web import LiveSession, RosPublisher
+from palpate.web import LiveSession
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "sensors"))
 from ros_network import eventually, heard_by, learn, robot, router, variables
@@ -58,7 +58,7 @@ def recognising(wire, model):
     sensor.stamps = []
     with LiveSession(sensor, model=model) as session, ExitStack() as stack:
         session.take_baseline()
-        publisher = RosPublisher(session, f"ros:/palpate?domain={DOMAIN}&via={via}")
+        publisher = session.publish(f"ros:/palpate?domain={DOMAIN}&via={via}")
         stack.callback(publisher.close)
         yield session
 

@@ -23,7 +23,6 @@ from palpate.evaluation import Plan, control_log_likelihood, evaluate
 from palpate.evaluation._comparisons import disc_centres
 from palpate.evaluation._episodes import Episodes, run_episodes
 from palpate.evaluation._trial import Trial
-from palpate.recognition import left_out_groups
 
 AFTER = (1, 5)
 # Shares of touches of one object that the control names; the last includes 1.
@@ -68,7 +67,7 @@ def _place_accuracy(trial: Trial, plan: Plan) -> NDArray[np.float64]:
     """Return the share of single touches that the disc's place names, by object."""
     train, test = trial.fold.train, trial.fold.test
     recogniser, memory = trial.recogniser, trial.recogniser.memory_
-    groups = left_out_groups(train, memory.labels, memory.objects, plan.label)
+    groups = recogniser.left_out_groups(train)
     of_train, of_test = disc_centres(train), disc_centres(test)
     assert of_train is not None
     assert of_test is not None

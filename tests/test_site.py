@@ -1,4 +1,4 @@
-"""The site has a page for every public name, short examples, and clear colours."""
+"""The site has a page for every public name and short examples."""
 
 import ast
 import inspect
@@ -11,10 +11,8 @@ import textwrap
 from importlib import import_module
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from palpate.evaluation import plots
 from structure import public_names
 
 ROOT = Path(__file__).parents[1]
@@ -124,52 +122,6 @@ def test_what_programs_outside_the_package_import_is_there(folder):
     for node in nodes:
         if node.module.partition(".")[0] == "palpate":
             exec(ast.unparse(node), {})
-
-
-# Machado, Oliveira and Fernandes 2009 (doi:10.1109/TVCG.2009.113), severity 1.
-SEEN_BY = {
-    "everybody": np.eye(3),
-    "no long cones": [
-        [0.152286, 1.052583, -0.204868],
-        [0.114503, 0.786281, 0.099216],
-        [-0.003882, -0.048116, 1.051998],
-    ],
-    "no middle cones": [
-        [0.367322, 0.860646, -0.227968],
-        [0.280085, 0.672501, 0.047413],
-        [-0.011820, 0.042940, 0.968881],
-    ],
-    "no short cones": [
-        [1.255528, -0.076749, -0.178779],
-        [-0.078411, 0.930809, 0.147602],
-        [0.004733, 0.691367, 0.303900],
-    ],
-}
-
-
-@pytest.mark.parametrize("eyes", SEEN_BY)
-def test_the_colours_of_pictures_differ_for_the_colour_blind(eyes):
-    style = (DOCS / "palpate.mplstyle").read_text("utf-8")
-    (cycle,) = re.findall(r"axes.prop_cycle: .*\[(.*)\]", style)
-    codes = [*re.findall(r"[0-9a-f]{6}", cycle), "fbfaf7"]
-    assert [f"#{code}" for code in codes[:-1]] == list(plots.COLOURS)
-    srgb = np.array([[int(c[i : i + 2], 16) / 255 for i in (0, 2, 4)] for c in codes])
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    lab = _lab((linear @ np.transpose(SEEN_BY[eyes])).clip(0, 1))
-    distances = np.linalg.norm(lab[:, None] - lab[None], axis=2)
-    # A difference of 2.3 is just visible side by side; ten is enough on thin lines.
-    assert distances[np.triu_indices(len(codes), 1)].min() > 10
-
-
-def _lab(linear):
-    """Return CIE L*a*b* (D65) of linear sRGB, (n, 3)."""
-    xyz = linear @ np.transpose(
-        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
-    )
-    f = np.cbrt(xyz / [0.9505, 1.0, 1.089])  # white; no colour here is near black
-    return np.stack(
-        [116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], 1
-    )
 
 
 @pytest.fixture(scope="module")

@@ -1,14 +1,16 @@
 """Pages of HTML that are written for people: reports, sheets, certificates.
 
 A page is one file that loads nothing from elsewhere. Its sections are made by those who
-have something to tell.
+have something to tell; matplotlib, which draws for them, is imported where it is used.
 """
 
 import base64
+import io
 import re
 from collections.abc import Collection, Sequence
 from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +18,13 @@ from ._durable import check_folder_of
 from ._extras import needed
 from ._types import RGB, Array
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+INK = "#1f2933"
+# Apart for the colour-blind too, in this order; the site's pictures have the same.
+COLOURS = ("#0b6e8a", "#d55e00", "#e0a100", "#6b4e9b", "#5a6572", "#7fb8a4")
+OURS, CONTROL_COLOURS = COLOURS[0], COLOURS[1:5]
 # Of taxels that are dead: blue, green, red.
 _DEAD = (60, 60, 220)
 _TYPED = re.compile(r"`([^`]+)`|(?<![\w-])--[a-z][a-z-]*")
@@ -133,3 +142,52 @@ def png_address(image: Array, side: int) -> str:
         drawn[marked] = _DEAD
     data = cv2.imencode(".png", drawn)[1].tobytes()
     return "data:image/png;base64," + base64.b64encode(data).decode()
+
+
+def panels(
+    n_rows: int,
+    n_columns: int,
+    size: tuple[float, float],
+    *,
+    pictures: bool = False,
+    **shared: Any,
+) -> tuple["Figure", Any]:
+    """Return a figure (size in inches) and its axes, shape (n_rows, n_columns)."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(n_rows, n_columns, squeeze=False, **shared)
+    for place in axes.ravel():
+        if pictures:
+            place.set(xticks=[], yticks=[])
+        hidden = [*place.spines] if pictures else ["top", "right"]
+        place.spines[hidden].set_visible(False)
+    return figure, axes
+
+
+def draw_confusion(
+    axes: Any, confusion: Array, names: Sequence[str], size: float
+) -> None:
+    """Draw shares as colours, those of at most 20 labels also as per cent."""
+    shown = [name.replace("$", r"\$") for name in names]  # no formulas
+    axes.imshow(confusion, cmap="GnBu", vmin=0, vmax=1)
+    axes.set_xticks(range(len(names)), shown, rotation=60, ha="right", fontsize=size)
+    axes.set_yticks(range(len(names)), shown, fontsize=size)
+    if len(names) <= 20:
+        for row, column in np.argwhere(confusion >= 0.005):
+            share = confusion[row, column]
+            style = {"fontsize": size - 1, "color": "white" if share > 0.6 else INK}
+            text = f"{100 * share:.0f}"
+            axes.text(column, row, text, ha="center", va="center", **style)
+
+
+def svg(figure: "Figure", alt: str) -> str:
+    """Return a figure as SVG text that a page can hold, `alt` for who cannot see it."""
+    from matplotlib import rc_context
+
+    text = io.StringIO()
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "palpate"}):
+        figure.savefig(text, format="svg", metadata={"Date": None}, transparent=True)
+    whole = text.getvalue()
+    named = f'<svg role="img" aria-label="{escape(alt)}"'
+    return named + whole[whole.index("<svg") + 4 :]

@@ -19,8 +19,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate.classifiers import MKLSVC, LinearKernel, PolynomialKernel
 from palpate.classifiers.mkl import _landmarks, _svc, paper_kernels
-from palpate.classifiers.mkl._dense import DenseKernels
-from palpate.classifiers.mkl._kernels import kernel_stack
+from palpate.classifiers.mkl._kernels import DenseKernels, kernel_stack
 from palpate.classifiers.mkl._landmarks import LowRankKernels, NystroemBank
 from palpate.classifiers.mkl._problem import Point, Task, solve_interior
 from palpate.classifiers.mkl._simplemkl import solve_simplemkl

@@ -49,7 +49,7 @@ def test_pairs_of_whole_kernels_are_learnt_on_one_thread(rng, monkeypatch):
         thread_counts.append(threads())
         return dpotrf(*matrices, **options)
 
-    monkeypatch.setattr("palpate.classifiers.mkl._dense.dpotrf", noted)
+    monkeypatch.setattr("palpate.classifiers.mkl._kernels.dpotrf", noted)
     labels = np.arange(120) % 2
     touches = rng.normal(size=(120, 3)) + labels[:, np.newaxis]
     with threadpool_limits(limits=2, user_api="blas"):

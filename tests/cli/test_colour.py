@@ -70,6 +70,30 @@ def test_evaluating_says_that_colours_were_left(palpate, pictures):
     assert not any("read in grey" in s for s in coloured["recommendations"])
 
 
+def test_numbers_beside_numbered_taxels_are_said_to_be_left(palpate, tmp_path):
+    """A fingertip of electrodes also writes pressure and temperature."""
+    rng, path = np.random.default_rng(0), tmp_path / "tips.csv"
+    rows = [["object", "time_s", "E1", "E2", "E3", "PDC", "TDC"]]
+    for n, name in enumerate(["mug", "pen"] * 12):
+        levels = 1000.0 * (n % 2) + rng.normal(size=3)
+        rows.append([name, n, *levels, *rng.normal(size=2)])
+    path.write_text("\n".join(",".join(map(str, row)) for row in rows))
+    left = "numbers beside the numbered taxels are kept, not looked at (PDC, TDC)"
+    assert any(left in note for note in palpate.answer("check", path)["notes"])
+    result = palpate("learn", path, "-o", tmp_path / "m.palpate")
+    assert left in " ".join(result.stdout.replace("Numbers", "numbers").split())
+    advice = palpate.answer("evaluate", "--train", path, "--split", "last")[
+        "recommendations"
+    ]
+    assert left in f"n{advice[0][1:]}"
+    touches = Touches.load(path)
+    assert [*touches.columns] == ["object", "time_s", "PDC", "TDC"]
+    path.write_text(path.read_text().replace("PDC", "E4").replace("TDC", "E5"))
+    checked = palpate.answer("check", path)
+    assert checked["size"] == "1 x 5"
+    assert not checked["notes"]
+
+
 def test_a_folder_of_parquet_hides_nothing(palpate, pictures, tmp_path):
     pytest.importorskip("pyarrow")
     folder = tmp_path / "set.parquet"

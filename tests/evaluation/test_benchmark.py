@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate.evaluation import benchmark, benchmark_summary, write_benchmark
+from palpate.evaluation import benchmark
 
 from .conftest import often_idle
 
@@ -98,7 +98,7 @@ def test_an_error_becomes_a_row_and_a_bad_archive_a_reason(tmp_path):
     skipped = {(s["archive"], s["protocol"]): s["reason"] for s in result["skipped"]}
     assert "images" in skipped["bad.npz", None]
     assert "'subject'" in skipped["deep.npz", "subjects"]
-    text = " ".join(part for part in benchmark_summary(result) if isinstance(part, str))
+    text = " ".join(part for part in result.summary() if isinstance(part, str))
     assert all(reason in text for reason in [*reasons[:2], *skipped.values()])
 
 
@@ -187,11 +187,11 @@ def test_a_default_blind_to_turns_is_behind_where_only_turns_tell():
 
 def test_the_page_holds_every_table_and_loads_nothing(learnt, tmp_path):
     pytest.importorskip("matplotlib", reason='needs the extra "plot"')
-    page = write_benchmark(tmp_path / "b.html", learnt).read_text()
+    page = learnt.write_report(tmp_path / "b.html").read_text()
     assert "<script" not in page
     assert not re.findall(r"(?:src|href)=", page)
     assert "set &lt;1&gt;" in page
-    (title, columns, lines), *_ = benchmark_summary(learnt)
+    (title, columns, lines), *_ = learnt.summary()
     assert title == "set <1>: 60 touches"
     assert {len(line) for line in lines} == {len(columns)}
     assert ["  default", "100.0", "0.0", "100.0"] in [line[:4] for line in lines]

@@ -13,12 +13,12 @@ from palpate import Touches
 from palpate.cli._output import answer
 from palpate.evaluation import (
     Plan,
+    _report,
     evaluate,
     explained_episodes,
-    plots,
-    summary,
     write_report,
 )
+from palpate.evaluation._report import whole_ticks
 
 from .conftest import drawn, often_idle
 
@@ -98,7 +98,7 @@ def test_ends_of_episodes_with_strangers_are_those_of_the_figures(result):
     undecided = round(decision["undecided"] * n_episodes)
     assert decision["right"] == 0
     assert decision["wrong"] + decision["refused"] + undecided == n_episodes
-    parts = [*summary(figures)]
+    parts = [*figures.summary()]
     *_, (_, columns, (known_row, stranger_row)) = (
         part for part in parts if not isinstance(part, str)
     )
@@ -137,7 +137,7 @@ def test_wrong_names_of_strangers_are_explained_first(tmp_path):
     page = write_report(tmp_path / "r.html", figures, trials).read_text()
     why = page[page.index("<h2>Why") :]
     assert f"<b>{NAMES[3]}</b>, never learnt, taken for <b>{first.label}</b>" in why
-    (line,) = (part for part in summary(figures) if ", never learnt: " in part)
+    (line,) = (part for part in figures.summary() if ", never learnt: " in part)
     assert line in page
 
 
@@ -233,11 +233,11 @@ def test_of_unseen_objects_categories_are_recognised(tmp_path, capsys):
     assert figures["n_labels"] == 2
     page = write_report(tmp_path / "r.html", figures, trials).read_text()
     assert re.search(r"<b>(mug|pen)_[ab]</b> \(\1\) ", page)
-    answer(False, figures, *summary(figures))
+    answer(False, figures, *figures.summary())
     for text in (page, capsys.readouterr().out):
         assert "none in two" not in text
-    learnt = figures | {"split": "last"}
-    answer(False, learnt, *summary(learnt))
+    learnt = type(figures)(figures | {"split": "last"})
+    answer(False, learnt, *learnt.summary())
     assert "none in two" in capsys.readouterr().out
 
 
@@ -272,7 +272,7 @@ def test_controls_are_named_as_such(result):
     figures, _ = result
     after = dict.fromkeys(figures["accuracy"], 0.25)
     controls = {"brightness": after, "no contact": after}
-    parts = summary(figures | {"controls": controls})
+    parts = type(figures)(figures | {"controls": controls}).summary()
     _, _, lines = next(part for part in parts if not isinstance(part, str))
     names = [name for name, *_ in lines]
     assert [name for name in names if "alone" in name or "without" in name] == [
@@ -367,9 +367,9 @@ def test_calibration_is_told_before_and_after():
 
 
 def test_ticks_are_whole_round_and_few():
-    assert plots.whole_ticks(5) == [1, 2, 3, 4, 5]
-    assert plots.whole_ticks(20) == [1, 5, 10, 15, 20]
-    assert all(len(plots.whole_ticks(n)) <= 8 for n in range(2, 400))
+    assert whole_ticks(5) == [1, 2, 3, 4, 5]
+    assert whole_ticks(20) == [1, 5, 10, 15, 20]
+    assert all(len(whole_ticks(n)) <= 8 for n in range(2, 400))
 
 
 @pytest.mark.slow
@@ -394,7 +394,9 @@ def test_how_often_an_object_was_taught_is_no_nuisance_of_the_sensor(
     pytest.importorskip("matplotlib", reason='needs the extra "plot"')
     drawn_shares = []
     monkeypatch.setattr(
-        plots, "confusion_plot", lambda shares, names: drawn_shares.append(shares) or ""
+        _report,
+        "confusion_plot",
+        lambda shares, names: drawn_shares.append(shares) or "",
     )
     write_report(tmp_path / "r.html", figures, trials)
     np.testing.assert_allclose(drawn_shares[0].sum(axis=1), 1)
@@ -413,7 +415,9 @@ def test_controls_that_do_as_well_are_named_with_the_touches(result):
         },
     }
     sentences = [
-        part for part in summary(figures | curves) if "alone does as well" in part
+        part
+        for part in type(figures)(figures | curves).summary()
+        if "alone does as well" in part
     ]
     assert [sentence.split(":")[0] for sentence in sentences] == [
         "brightness alone does as well after 1 touch",

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate import Touches
-from palpate.evaluation import Plan, evaluate, explained_episodes, summary, write_report
+from palpate.evaluation import Plan, evaluate, explained_episodes, write_report
 
 from .conftest import drawn
 
@@ -167,7 +167,7 @@ def ended(result, decision, strangers=None):
     ends = {"decision": decision}
     if strangers is not None:
         ends["unknown_decision"] = decision | {"answers": {}} | strangers
-    return [*summary(figures | ends)]
+    return [*type(figures)(figures | ends).summary()]
 
 
 def test_names_given_to_strangers_are_wrong_names(result):

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import Touches, simulate_touches
-from palpate.evaluation import Plan, evaluate, explained_episodes, summary, write_report
+from palpate.evaluation import Plan, evaluate, explained_episodes, write_report
 from palpate.recognition import sessions_message
 from palpate.simulation import DomeCamera
 
@@ -199,7 +199,7 @@ def test_where_sessions_were_tested_the_measured_accuracy_is_expected(week):
     assert (
         "Each session was left out of learning in turn: "
         f"{right:.1f} % right after 1 touch is what to expect of another session."
-    ) in summary(figures)
+    ) in figures.summary()
     assert figures["n_objects"] == {"1": 4, "3": 4}  # tested in two folds
     train, test = visited("mon", 8, 0), visited("tue", 8, 1)
     plan = Plan(touches=(3,), orders=4, remount="recentre")
@@ -209,7 +209,7 @@ def test_where_sessions_were_tested_the_measured_accuracy_is_expected(week):
         "Nothing was learnt from the sessions of the test touches: "
         f"{right:.1f} % right after 3 touches (remount recentre) is what to expect of "
         "another session."
-    ) in summary(elsewhere)
+    ) in elsewhere.summary()
     # The last quarter may be the last day: as good as another set.
     moves = enumerate({"mon": 8, "tue": 8, "wed": 5}.items())
     days = [visited(day, n_touches, n) for n, (day, n_touches) in moves]
@@ -220,6 +220,6 @@ def test_where_sessions_were_tested_the_measured_accuracy_is_expected(week):
         "Nothing was learnt from the sessions of the test touches: "
         f"{100 * last_day['accuracy']['1']:.1f} % right after 1 touch is what to "
         "expect of another session."
-    ) in summary(last_day)
+    ) in last_day.summary()
     here, _ = evaluate(train, split="last", plan=Plan(touches=(1,), orders=4))
-    assert sessions_message(here["sessions"]) in summary(here)
+    assert sessions_message(here["sessions"]) in here.summary()

@@ -15,7 +15,6 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from palpate.exploration import (
-    EpisodeLog,
     Hemisphere,
     RandomHemisphere,
     RobotError,
@@ -24,6 +23,7 @@ from palpate.exploration import (
     gather,
     read_episode,
 )
+from palpate.exploration._record import EpisodeLog
 
 WORLD = Path(__file__).with_name("ball_world.py")
 N_TOUCHES = 30

@@ -16,7 +16,6 @@ from palpate.recognition import (
     Memory,
     ObjectRecogniser,
     SequenceCalibration,
-    left_out_groups,
 )
 
 NAMES = ("ball", "mug", "pen")
@@ -490,14 +489,13 @@ def visits(label="object", **columns):
     """Return the groups in which twelve touches of four objects are left out."""
     objects = np.repeat(["a", "b", "c", "d"], 3)
     touches = Touches(np.zeros((12, 2, 2)), object=objects, **columns)
-    labels = touches.object if label == "object" else touches.category
-    return left_out_groups(touches, labels, objects, label).tolist()
+    return ObjectRecogniser(label=label).left_out_groups(touches).tolist()
 
 
 def test_each_object_is_left_out_in_five_runs_of_its_recording_at_most():
     labels, order = np.repeat(["a", "b", "c"], [10, 10, 2]), np.arange(22)[::-1]
     touches = Touches(np.zeros((22, 2, 2)), object=labels, order=order)
-    groups = left_out_groups(touches, labels, labels, "object")
+    groups = ObjectRecogniser().left_out_groups(touches)
     runs = [4, 4, 3, 3, 2, 2, 1, 1, 0, 0]
     assert groups.tolist() == [*runs, *(5 + np.array(runs)), 11, 10]
 

@@ -9,8 +9,7 @@ from scipy.special import expit, log_softmax
 from scipy.stats import beta
 
 from palpate import ObjectRecogniser, Touches
-from palpate._numbers import upper_bound, with_floor
-from palpate._words import about
+from palpate._numbers import about, upper_bound, with_floor
 from palpate.recognition import SequenceCalibration
 from palpate.recognition._calibration import LeftOut, draw_episodes, fit_strangers
 from palpate.recognition._strangers import Curve, episode_evidence

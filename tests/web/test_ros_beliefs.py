@@ -28,7 +28,7 @@ from palpate.cli import app
 from palpate.library import LibraryError, TouchLibrary
 from palpate.sensors import open_sensor, ros_place
 from palpate.sensors.ros import STRING, read_message
-from palpate.web import LiveSession, RosPublisher
+from palpate.web import LiveSession
 
 from .conftest import Event
 
@@ -73,7 +73,7 @@ def recognising(via, model, library=None):
     sensor = open_sensor(f"ros:/pad?{where}")
     with LiveSession(sensor, model=model, library=library) as session:
         session.take_baseline()
-        publisher = RosPublisher(session, f"ros:/palpate?{where}")
+        publisher = session.publish(f"ros:/palpate?{where}")
         try:
             yield session
         finally:
@@ -147,7 +147,7 @@ def test_a_touch_without_contact_keeps_no_lesson_open_that_confirm_began(
     with make_session() as session:
         for image in (*drawn.images[:3], empty):
             session.post_touch(image)
-        publisher = RosPublisher(session, f"ros:/desk?domain={DOMAIN}")
+        publisher = session.publish(f"ros:/desk?domain={DOMAIN}")
         answer = publisher.ask("confirm knob")
         publisher.close()
         assert session.teacher.lesson is None
@@ -161,7 +161,7 @@ def test_what_is_refused_leaves_no_lesson_open_and_ends_nothing(
     with make_session() as session:
         for image in drawn.images[:3]:
             session.post_touch(image)
-        publisher = RosPublisher(session, f"ros:/desk?domain={DOMAIN}")
+        publisher = session.publish(f"ros:/desk?domain={DOMAIN}")
         library, plain = session.teacher.library, session.teacher.library.add
         calls = iter([plain, Mock(side_effect=LibraryError("No room. Free space."))])
         monkeypatch.setattr(library, "add", lambda **touch: next(calls)(**touch))
@@ -217,7 +217,7 @@ def test_the_end_of_learning_is_a_second_answer():
     place = f"ros:/desk?domain={DOMAIN}"
     node = ros_place(place).open_node()
     answers = node.subscribe("/desk/answer", STRING, reliable=True)
-    publisher = RosPublisher(session, place)
+    publisher = session.publish(place)
     assert eventually(lambda reader=answers: reader.n_publishers)
     end_s = time.monotonic() + 10
     state = {"learning": True, "learn_error": "", "message": "Learnt 2 objects."}

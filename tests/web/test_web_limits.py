@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 from starlette.requests import HTTPConnection, Request
 
-from palpate.web import _request_guard, teachable_name
+from palpate.web import LiveSession, _request_guard
 from palpate.web._request_guard import PatientProtocol, RequestGuard, most_waiting
 
 LIMITED = RequestGuard(None, "token", max_body=100, rate_hz=0.5)
@@ -123,9 +123,9 @@ def test_the_oldest_of_each_kind_gives_way(monkeypatch):
 )
 def test_names_that_name_nothing_are_refused(name, why):
     with pytest.raises(ValueError, match=f"The name of an object must {why}"):
-        teachable_name(name)
+        LiveSession.check_name(name)
 
 
 @pytest.mark.parametrize("name", ["a" * 80, "C++", "☕", "7", "+", "می\u200cخواهم"])
 def test_other_names_are_kept_as_they_are(name):
-    assert teachable_name(name) == name
+    assert LiveSession.check_name(name) == name

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from palpate import Touches
-from palpate._words import figure_of
+from palpate._numbers import figure_of
 from palpate.evaluation import Plan, evaluate, write_report
 from palpate.library import LibraryError, TouchLibrary
 from palpate.sensors import DetectedTouch

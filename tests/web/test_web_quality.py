@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from first_hour import N_ASKED, N_TAUGHT, Desk, advised, table
 from palpate import Touches
-from palpate.recognition import ObjectRecogniser, teaching_advice
+from palpate.recognition import ObjectRecogniser
 from palpate.web import LiveSession
 
 from .conftest import Still, waited
@@ -153,7 +153,7 @@ def of(name, after_eight, other=None, after_one=0.8):
     ],
 )
 def test_advice_follows_from_the_figures(qualities, advice):
-    assert teaching_advice(qualities) == advice
+    assert ObjectRecogniser().teaching_advice(qualities) == advice
 
 
 @pytest.mark.slow
@@ -366,6 +366,7 @@ def test_limits_stand_in_the_episode_and_its_report(
 
 
 def test_advised_objects_are_read_from_the_advice():
+    teaching_advice = ObjectRecogniser().teaching_advice
     pair = teaching_advice([of("a mug", 0.5, "a cup"), of("a cup", 0.5, "a mug")])
     assert sorted(advised(pair)) == ["a cup", "a mug"]
     assert advised(teaching_advice([of("pen", 0.5, "a cup, blue")])) == ["pen"]

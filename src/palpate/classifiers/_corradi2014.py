@@ -21,7 +21,7 @@ from sklearn.svm import SVC
 from .._checks import check_option, check_positive, check_squarable
 from .._numbers import exp
 from .._types import Array, Floats
-from ._kernel_sums import blocks_of, learn_whitening, whiten
+from ._kernel_density import blocks_of, learn_whitening, whiten
 from ._touch_classifier import BayesRule, as_touches, classes_of, labelled_touches
 
 # Interquartile range of a Gaussian, in standard deviations.

@@ -20,9 +20,14 @@ from .._checks import check_count
 from .._extras import needed
 from .._numbers import exp
 from .._types import Array, Floats, Indices, Singles
-from . import _kernel_sums
-from ._kernel_density import KernelDensityBayes
-from ._kernel_sums import blocks_of, exact_log_sums, is_precise, make_tiles
+from ._kernel_density import (
+    KernelDensityBayes,
+    blocks_of,
+    exact_log_sums,
+    is_precise,
+    make_tiles,
+    squared_distances,
+)
 from ._touch_classifier import as_touches
 
 TOUCHES_PER_CELL = 8
@@ -156,9 +161,7 @@ class KernelDensityIndex:
             totals = np.add.reduceat(relative, self.starts_, axis=1)
             sums = top.astype(np.float64) + np.log(totals) + model.log_norms_
             kept = np.argpartition(-sums, self.n_exact - 1, axis=1)[:, : self.n_exact]
-            shared = (
-                _kernel_sums.squared_distances(x, model.means_, model.precisions_) / 2
-            )
+            shared = squared_distances(x, model.means_, model.precisions_) / 2
             precise = is_precise(x, model.reaches_, "float32", MAX_ERROR)
             extended = np.hstack([x, ones]).astype(np.float32)
             for row, place in (

@@ -626,15 +626,28 @@ class Reading:
             return ""
         return f"folders were read as {'/'.join(levels)}; --levels says otherwise"
 
-    def colour_left(self, path: Path, touches: "Labelled") -> str:
-        """Return that pictures in colour were read in grey, if nobody said it."""
+    def left_aside(self, path: Path, touches: "Labelled") -> str:
+        """Return what of touches is not looked at, if nobody said it.
+
+        The colour of pictures, and columns of numbers beside a vector's numbered ones.
+        """
         from ..touches import Touches
 
-        in_grey = self.colour is None and kind_of(path) == "folder"
-        if in_grey and isinstance(touches, Touches) and touches.hides_colour():
+        kind = kind_of(path)
+        if not isinstance(touches, Touches):
+            return ""
+        if self.colour is None and kind == "folder" and touches.hides_colour():
             return (
                 "pictures in colour were read in grey: --colour, if colour tells, as "
                 "behind a gel"
+            )
+        is_text = kind == "file" and path.suffix.lower() in (".csv", ".tsv", ".txt")
+        if is_text and touches.geometry == "none" and (names := touches.unknown_names):
+            listed = ", ".join(names[:5]) + " and more" * (len(names) > 5)
+            return (
+                f"numbers beside the numbered taxels are kept, not looked at "
+                f"({listed}): what tells objects apart must have a taxel's name and "
+                "the next number"
             )
         return ""
 

@@ -53,10 +53,10 @@ def benchmark(
             progress=stage,
         )
     if report is not None:
-        evaluation.write_benchmark(report, result)
+        result.write_report(report)
     parts = (
         part if isinstance(part, str) else (*part, ["recogniser"])
-        for part in evaluation.benchmark_summary(result)
+        for part in result.summary()
     )
     answer(as_json, result, *parts, report)
 

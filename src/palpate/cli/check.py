@@ -70,6 +70,13 @@ def check(
         stage("what is no touch")
         alone = {} if read is None or read.object is None else named_alone(read)
     odd = _odd(pictures)
+    notes = _notes(pictures, odd)
+    if (
+        read
+        and not pictures.is_of_pictures
+        and (left := reading.left_aside(touches, read))
+    ):
+        notes.append(left)
     checked: dict[str, Any] = {
         "touches": str(touches),
         "problem": problem,
@@ -78,7 +85,7 @@ def check(
         "read_as": "" if read is None else reading.read_as(touches, read),
         "bad": [{**bad._asdict(), "fix": as_typed(bad.fix)} for bad in pictures.bad],
         "odd": odd,
-        "notes": _notes(pictures, odd),
+        "notes": notes,
         "objects": [] if read is None else _objects(read),
         "alone": alone,
     }

@@ -58,7 +58,7 @@ def demo(
         raise ValueError(f"--output must be a folder, got the file {str(folder)!r}.")
     pictures = _pictures(data) if real else None
     from .._page import check_report_path
-    from ..evaluation import Plan, evaluate, summary, write_report
+    from ..evaluation import Plan, evaluate, write_report
 
     plan = Plan(touches=(1, 3, 5, 10), seed=seed, error=ERROR, strangers=strangers)
     if not (pictures or as_json):
@@ -75,7 +75,8 @@ def demo(
         figures, trials = evaluate(
             train, test, unknown=unknown, plan=plan, progress=stage
         )
-    figures, recogniser = in_options(figures), trials[0].recogniser
+    in_options(figures)
+    recogniser = trials[0].recogniser
     if not as_json:
         say(
             f"Learnt {len(recogniser.classes_)} objects from {len(train)} touches "
@@ -94,7 +95,7 @@ def demo(
     answer(
         as_json,
         {**figures, "episodes": episodes, **written},
-        *summary(figures),
+        *figures.summary(),
         f"model: {written['model']}",
         written["report"],
     )

@@ -49,7 +49,7 @@ def evaluate(
     For example: palpate evaluate --train touches/ --split last. With `session` in place
     of `last` it says what to expect on another day.
     """
-    from ..evaluation import Plan, summary, write_report
+    from ..evaluation import Plan, write_report
     from ..evaluation import evaluate as run
 
     plan = Plan(
@@ -93,17 +93,17 @@ def evaluate(
         figures, trials = run(
             training, testing, split=split, unknown=others, plan=plan, progress=stage
         )
-        figures = in_options(figures)
-        if left := reading.colour_left(train, training):
+        in_options(figures)
+        if left := reading.left_aside(train, training):
             figures["recommendations"].insert(0, f"{left[0].upper()}{left[1:]}.")
         if report is not None:
             stage(f"writing {report}")
             write_report(report, figures, trials)
-    answer(as_json, figures, *summary(figures), report)
+    answer(as_json, figures, *figures.summary(), report)
 
 
-def in_options(figures: dict[str, Any]) -> dict[str, Any]:
-    """Return figures whose sentences name options of `palpate evaluate`."""
+def in_options(figures: dict[str, Any]) -> None:
+    """Let the sentences of figures name options of `palpate evaluate`."""
     todo = [as_typed(sentence, "evaluate") for sentence in figures["recommendations"]]
-    verdict = as_typed(figures["verdict"], "evaluate")
-    return {**figures, "verdict": verdict, "recommendations": todo}
+    figures["verdict"] = as_typed(figures["verdict"], "evaluate")
+    figures["recommendations"] = todo

@@ -1,6 +1,7 @@
 """`palpate learn`: touches -> model file."""
 
 import re
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -92,7 +93,7 @@ def learn(
     if kind != "library":
         how_read = (
             reading.read_as(touches, training),
-            reading.colour_left(touches, training),
+            reading.left_aside(touches, training),
         )
         sentences = [*sentences, *filter(None, how_read)]
     if recogniser.pose_:
@@ -106,7 +107,7 @@ def learn(
         f"{counted(learnt['n_train_touches'])}, saved as {written}{replaces}.",
         *few,
         *_without_contact(recogniser),
-        *recognition.few_objects_warning(learnt["n_labels"], learnt["label"]),
+        recogniser.limits_message(of_touches=False) or None,
         recognition.sessions_message(across),
         " ".join(f"{detail[0].upper()}{detail[1:]}." for detail in details),
     )
@@ -114,15 +115,12 @@ def learn(
 
 def _few(training: "_options.Labelled", label: str) -> list[str]:
     """Return one line on labels of few touches, or none."""
-    import numpy as np
-
     from ..evaluation import few_touches
 
     labels = training.object if label == "object" else training.category
     if labels is None:
         return []
-    names, numbers = np.unique(labels, return_counts=True)
-    few = few_touches(dict(zip(names.tolist(), numbers.tolist(), strict=True)))
+    few = few_touches(Counter(sorted(labels.tolist())))
     return [f"{few[0].upper()}{few[1:]}."] if few else []
 
 

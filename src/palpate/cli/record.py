@@ -59,11 +59,11 @@ def record(
 ) -> None:
     """Record touches of one object; each is on the disk as soon as it is counted."""
     from .._checks import check_count
-    from ..web import LiveSession, teachable_name
+    from ..web import LiveSession
 
     check_count("sessions", sessions)
     _check_touches(touches, sessions)
-    name = teachable_name(name)  # as it is kept
+    name = LiveSession.check_name(name)  # as it is kept
     if session_name is not None and (sessions > 1 or changed):
         raise typer.BadParameter(
             "--session names one session: leave --sessions and --changed out."

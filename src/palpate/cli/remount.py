@@ -125,9 +125,9 @@ def _what_to_confirm(values: dict[str, Any]) -> list[str]:
     more = f" and {n_more} more" if n_more else ""
     sentences = [f"{further}; of these there is none yet: {names}{more}."]
     if "expected" in values:
-        low, high = (100 * share for share in values["expected"])
+        shares = dict.fromkeys(f"{100 * share:.0f}" for share in values["expected"])
         sentences.append(
-            f"With one of each, about {low:.0f} to {high:.0f} % were right after one "
+            f"With one of each, about {' to '.join(shares)} % were right after one "
             "touch in rehearsed sessions."
         )
     return sentences

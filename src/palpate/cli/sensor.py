@@ -178,12 +178,10 @@ def give_up(session: "LiveSession", timeout_s: float) -> None:
 @contextmanager
 def published(session: "LiveSession", address: str | None) -> Iterator[None]:
     """Publish the beliefs of a session, and let it be told what to do, on ROS 2."""
-    from ..web import RosPublisher
-
     if address is None:
         yield
         return
-    with closing(RosPublisher(session, address)):
+    with closing(session.publish(address)):
         yield
 
 

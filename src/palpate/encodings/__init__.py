@@ -1,7 +1,6 @@
 """Image -> vector: encoders of images, and what puts features on one scale."""
 
 from ._edges_and_rings import EdgeHistograms, RingPatterns, RingQuantiles
-from ._moments import CentroidMoments, HuMoments, PadShapes
 from ._named import EncodingUnion, RootScaler, encoder_named
 from ._onnx import OnnxEncoding
 from ._pixels import (
@@ -12,7 +11,13 @@ from ._pixels import (
     TaxelVector,
 )
 from ._principal import KernelPCA, OrientedPCA, PrincipalShare, ZernikePCA
-from ._shape import FourierDescriptors, ShapeGeometry
+from ._shape import (
+    CentroidMoments,
+    FourierDescriptors,
+    HuMoments,
+    PadShapes,
+    ShapeGeometry,
+)
 from ._zernike import ZernikeMoments
 
 __all__ = [

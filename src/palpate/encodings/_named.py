@@ -18,7 +18,6 @@ from .._image_estimator import ImageEstimator
 from .._types import Array, Floats
 from . import _principal
 from ._edges_and_rings import EdgeHistograms, RingPatterns, RingQuantiles
-from ._moments import N_MOMENTS, CentroidMoments, HuMoments, PadShapes
 from ._pixels import (
     PAPER_SIDE,
     GridLevels,
@@ -27,6 +26,7 @@ from ._pixels import (
     TaxelVector,
 )
 from ._principal import Components, OrientedPCA, PrincipalEncoder, ZernikePCA
+from ._shape import N_MOMENTS, CentroidMoments, HuMoments, PadShapes
 from ._zernike import ZernikeMoments
 
 # Name: (encoder, parameters in which it differs from the encoder's own defaults).

@@ -22,7 +22,7 @@ from .._numbers import evenly_spaced
 from .._types import Array, Complexes, Floats, Indices, Singles
 from ..images import OrientationRegulariser
 from ._edges_and_rings import lengths
-from ._moments import boxes_of, cut_out, size_of
+from ._shape import boxes_of, cut_out, size_of
 
 PAPER_SIDE = 13  # 169 values, as in the paper
 # The median of so many training images is a baseline.

@@ -1,9 +1,6 @@
 """How well it recognises: splits, figures, nuisance controls and reports."""
 
-from . import plots as plots
 from ._benchmark import benchmark
-from ._benchmark import benchmark_summary as benchmark_summary
-from ._benchmark import write_benchmark as write_benchmark
 from ._comparisons import brightness as brightness
 from ._comparisons import control_log_likelihood as control_log_likelihood
 from ._comparisons import named_alone as named_alone
@@ -11,7 +8,6 @@ from ._comparisons import without_contact as without_contact
 from ._evaluate import evaluate
 from ._evaluate import few_touches as few_touches
 from ._report import explained_episodes as explained_episodes
-from ._report import summary as summary
 from ._report import write_report
 from ._splits import split_by_count as split_by_count
 from ._splits import split_touches

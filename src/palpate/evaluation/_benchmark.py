@@ -61,6 +61,24 @@ class Task(NamedTuple):
     left_out: list[str]
 
 
+class Comparison(dict[str, Any]):
+    """What `benchmark` returns: plain values, ready for JSON, and what they say."""
+
+    def summary(self) -> Iterator[str | TextTable]:
+        """Yield a table for each archive, then a sentence for each comparison."""
+        yield from _tables(self)
+        yield from _verdicts(self)
+
+    def write_report(self, path: str | Path) -> Path:
+        """Write tables and sentences as one self-contained `.html`."""
+        target = check_report_path(path)
+        lines = "".join(f"<li>{worded(line)}</li>" for line in _verdicts(self))
+        tables = [html_table(*table) for table in _tables(self)]
+        sections = [f"<h1>{TITLE}</h1>", *tables, f"<ul>{lines}</ul>"]
+        write_text(target, report_page(TITLE, sections))
+        return target
+
+
 def benchmark(
     archives: Archives,
     *,
@@ -71,7 +89,7 @@ def benchmark(
     repeats: int = 3,
     seed: int = 0,
     progress: Progress = silent,
-) -> dict[str, Any]:
+) -> Comparison:
     """Compare presets with simple recognisers on sets of touches.
 
     Parameters
@@ -94,7 +112,8 @@ def benchmark(
     -------
     result : dict
         Plain values, ready for JSON: "benchmark", an entry per archive and protocol,
-        and "skipped", with reasons.
+        and "skipped", with reasons. For people it has `summary()`, tables and
+        sentences, and `write_report(path)`, one page of HTML with them.
 
     Raises
     ------
@@ -143,13 +162,7 @@ def benchmark(
         progress(f"{name}: controls")
         entries += _entries(name, touch_set, tasks, answers)
     done = {"label": label, "repeats": repeats, "seed": seed}
-    return {"benchmark": entries, "skipped": skipped, **done}
-
-
-def benchmark_summary(result: dict[str, Any]) -> Iterator[str | TextTable]:
-    """Yield a table for each archive, then a sentence for each comparison."""
-    yield from _tables(result)
-    yield from _verdicts(result)
+    return Comparison(benchmark=entries, skipped=skipped, **done)
 
 
 def _tables(result: dict[str, Any]) -> Iterator[TextTable]:
@@ -187,16 +200,6 @@ def _verdicts(result: dict[str, Any]) -> Iterator[str]:
                 yield f"{where}: no {row['recogniser']}: {row['reason']}"
     for left in result["skipped"]:
         yield f"{left['archive']}, {left['protocol'] or 'skipped'}: {left['reason']}"
-
-
-def write_benchmark(path: str | Path, result: dict[str, Any]) -> Path:
-    """Write tables and sentences as one self-contained `.html`."""
-    target = check_report_path(path)
-    lines = "".join(f"<li>{worded(line)}</li>" for line in _verdicts(result))
-    tables = [html_table(*table) for table in _tables(result)]
-    sections = [f"<h1>{TITLE}</h1>", *tables, f"<ul>{lines}</ul>"]
-    write_text(target, report_page(TITLE, sections))
-    return target
 
 
 def _sets(archives: Archives) -> dict[str, Path | Touches]:

@@ -23,9 +23,8 @@ from sklearn.svm import SVC
 from sklearn.utils import gen_batches
 
 from .._extras import needed
-from .._numbers import correlation
+from .._numbers import correlation, n_touches_of
 from .._types import Array, Bools, Floats
-from .._words import n_touches_of
 from ..classifiers import KernelRidgeClassifier
 from ..images import fill_dead_taxels, find_rims
 from ..recognition import find_geometry

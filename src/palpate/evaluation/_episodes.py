@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -12,13 +12,7 @@ from numpy.typing import NDArray
 from .._checks import STRANGERS
 from .._numbers import upper_bound, with_floor
 from .._types import Array, Bools, Floats, Indices
-from ..recognition import (
-    Belief,
-    Evidence,
-    ObjectRecogniser,
-    SequenceCalibration,
-    episode_evidence,
-)
+from ..recognition import Belief, Evidence, ObjectRecogniser, SequenceCalibration
 
 
 @dataclass(frozen=True)
@@ -149,8 +143,8 @@ def run_episodes(
     `calibrated`, touches of one episode add up in full.
     """
     rng, model = np.random.default_rng(seed), recogniser.belief_model()
-    calibration = model.sequence_calibration if calibrated else SequenceCalibration()
-    how = model.log_prior, calibration, model.strangers
+    if not calibrated:
+        model = replace(model, sequence_calibration=SequenceCalibration())
     floored, classes = with_floor(log_likelihood, model.floor), model.classes.tolist()
     n_encodings = len(model.strangers.weights)
     each = log_likelihood[:, np.newaxis].repeat(n_encodings, axis=1)
@@ -160,7 +154,7 @@ def run_episodes(
     each = with_floor(each, model.floor)
 
     def after_each(rows: Array) -> tuple[Floats, Floats]:
-        return episode_evidence(floored[rows], each[rows], distances[rows], *how)
+        return model.after_each(floored[rows], each[rows], distances[rows])
 
     of_each = [np.flatnonzero(objects == name) for name in np.unique(objects)]
     first = [rows[0] for rows in of_each]

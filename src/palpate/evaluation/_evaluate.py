@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from .._checks import listed
+from .._numbers import n_touches_of
 from .._parallel import in_parallel
 from .._types import Array, Floats
-from .._words import n_touches_of
-from ..recognition import Evidence, ObjectRecogniser, left_out_groups
+from ..recognition import Evidence, ObjectRecogniser
 from ..touches import Touches
 from ._comparisons import (
     CONTROLS,
@@ -27,6 +27,7 @@ from ._comparisons import (
     without_contact,
 )
 from ._episodes import Episodes, run_episodes
+from ._report import Figures
 from ._splits import (
     SPLITS,
     VISITS,
@@ -75,7 +76,7 @@ def evaluate(
     unknown: Touches | None = None,
     plan: Plan | None = None,
     progress: Progress = silent,
-) -> tuple[dict[str, Any], list[Trial]]:
+) -> tuple[Figures, list[Trial]]:
     """Learn, recognise and score.
 
     Parameters
@@ -98,7 +99,8 @@ def evaluate(
     -------
     figures : dict
         Plain values, ready for JSON. `accuracy_sd` is the spread over objects,
-        over folds where there are several.
+        over folds where there are several. `summary()` yields what they say to people:
+        sentences, and tables as (title, columns, lines of text).
     trials : list of Trial
         One per fold, for `write_report`.
 
@@ -147,7 +149,7 @@ def evaluate(
         progress(f"{len(folds)} folds")
         tasks = [(fold, unknown, plan, silent) for fold in folds]
         trials = in_parallel(_run, tasks, "Folds", show=False)
-    figures = figures_of(trials, plan, split)
+    figures = Figures(figures_of(trials, plan, split))
     if split in ("between", "last") and recorded_order(train) is None:
         figures["notes"].append(_UNORDERED)
     figures["verdict"] = verdict(figures)
@@ -297,10 +299,8 @@ def _controls(
     """Return the accuracy of each nuisance control; None where it has no cause."""
     train, test, recogniser = trial.fold.train, trial.fold.test, trial.recogniser
     # Confirmed touches of the test session come after those of training.
-    of_train = slice(len(train))
-    taught = recogniser.memory_.labels[of_train]
-    whose = recogniser.memory_.objects[of_train]
-    groups = left_out_groups(train, taught, whose, plan.label)
+    taught = recogniser.memory_.labels[: len(train)]
+    groups = recogniser.left_out_groups(train)
     even = _evenly(taught, labels, plan.seed)
 
     def curve(rows: Floats, which: Any = slice(None)) -> dict[str, float]:

@@ -12,20 +12,24 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._durable import write_text
-from .._numbers import evenly_spaced, units_needed
+from .._numbers import about, evenly_spaced, n_touches_of, units_needed
 from .._page import (
+    CONTROL_COLOURS,
+    INK,
+    OURS,
     as_shown,
     check_report_path,
+    draw_confusion,
     html_table,
+    panels,
     png_address,
     report_page,
+    svg,
     worded,
 )
-from .._types import Bools, Indices
-from .._words import about, n_touches_of
+from .._types import Array, Bools, Indices
 from ..recognition import Evidence, sessions_message
 from ..touches import Touches
-from . import plots
 from ._comparisons import as_good_alone
 from ._episodes import Decisions, answers_of
 from ._splits import VISITS
@@ -39,6 +43,8 @@ EPISODES, WRONG = 6, 4
 STRANGERS_LISTED = 8
 MOVED, NEAREST = 3, 3
 SMALL_SIDE = 72
+# Inches: two beside each other in a window, and text of one size on a phone.
+SIDE_BY_SIDE = 4.1, 3.7
 # Title, columns and lines of text.
 TextTable = tuple[str, list[str], list[list[str]]]
 
@@ -58,6 +64,39 @@ class Explained(NamedTuple):
     label: str
     right: bool
     is_stranger: bool
+
+
+class Figures(dict[str, Any]):
+    """What `evaluate` returns: plain values, ready for JSON, and what they say."""
+
+    def summary(self) -> Iterator[str | TextTable]:
+        """Yield what figures say to people: sentences, and tables to be drawn."""
+        title = (
+            f"{self['preset']}: {self['n_labels']} {self['label']} labels, "
+            f"{self['n_train_touches']} training and {self['n_test_touches']} test "
+            f"touches, chance {100 * self['chance']:.3g} %"
+        )
+        if self["remount"] != "none":
+            title += f", remount {self['remount']}"
+        yield self["verdict"]
+        yield title, _columns(self), _figure_lines(self)
+        yield from self["notes"]
+        for sentence in self["chosen"].get("found", ()):
+            yield f"From the training touches: {sentence}."
+        for flag, share in self["flags"].items():
+            yield f"Flagged as {flag!r}: {as_text(share, 100)} % of the test touches."
+        yield _decision_table(self)
+        yield from _strangers_answers(self)
+        yield _bound(self)
+        yield from as_good_alone(self)
+        if other_day := _other_day(self):
+            yield other_day
+        if gone := self["left_out"]:
+            names = ", ".join(gone[:5]) + (", ..." if len(gone) > 5 else "")
+            yield f"Left out, met in no other {self['split']}: {len(gone)} ({names})."
+        if todo := self["recommendations"]:
+            yield "What to do now:"
+            yield from (f"- {sentence}" for sentence in todo)
 
 
 def write_report(
@@ -110,36 +149,6 @@ def _ends(figures: dict[str, Any]) -> str:
 def _recommended(sentences: Sequence[str]) -> str:
     lines = "".join(f"<li>{worded(sentence)}</li>" for sentence in sentences)
     return f"<h2>What to do now</h2><ul>{lines}</ul>" if lines else ""
-
-
-def summary(figures: dict[str, Any]) -> Iterator[str | TextTable]:
-    """Yield what figures say to people: sentences, and tables to be drawn."""
-    title = (
-        f"{figures['preset']}: {figures['n_labels']} {figures['label']} labels, "
-        f"{figures['n_train_touches']} training and {figures['n_test_touches']} test "
-        f"touches, chance {100 * figures['chance']:.3g} %"
-    )
-    if figures["remount"] != "none":
-        title += f", remount {figures['remount']}"
-    yield figures["verdict"]
-    yield title, _columns(figures), _figure_lines(figures)
-    yield from figures["notes"]
-    for sentence in figures["chosen"].get("found", ()):
-        yield f"From the training touches: {sentence}."
-    for flag, share in figures["flags"].items():
-        yield f"Flagged as {flag!r}: {as_text(share, 100)} % of the test touches."
-    yield _decision_table(figures)
-    yield from _strangers_answers(figures)
-    yield _bound(figures)
-    yield from as_good_alone(figures)
-    if other_day := _other_day(figures):
-        yield other_day
-    if gone := figures["left_out"]:
-        names = ", ".join(gone[:5]) + (", ..." if len(gone) > 5 else "")
-        yield f"Left out, met in no other {figures['split']}: {len(gone)} ({names})."
-    if todo := figures["recommendations"]:
-        yield "What to do now:"
-        yield from (f"- {sentence}" for sentence in todo)
 
 
 def _columns(figures: dict[str, Any]) -> list[str]:
@@ -341,7 +350,7 @@ def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     per_fold = np.array([[over.mean() for over in folds] for folds in each])
     over = [folds[0] for folds in each] if len(trials) == 1 else per_fold
     sd = np.array([float(spread(scores)) for scores in over])
-    plot = plots.accuracy_curve(figures, per_fold.mean(axis=1), sd)
+    plot = accuracy_curve(figures, per_fold.mean(axis=1), sd)
     bins = {}
     for k in figures["accuracy"]:
         ends = scored(trials, int(k))
@@ -349,7 +358,7 @@ def _accuracy(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
         bins[k] = calibration_bins(confidence, np.concatenate([e.hit for e in ends]))
     return (
         "<h2>Accuracy against touches, and whether the belief can be trusted</h2>"
-        f"<div class=row>{plot}{plots.calibration_plot(bins)}</div>"
+        f"<div class=row>{plot}{calibration_plot(bins)}</div>"
         "<p class=note>First: mean and one standard deviation over objects (over folds "
         "where there are several). Dashed: what nuisance values achieve by themselves."
         " Second: a belief of 0.9 should be right nine times in ten.</p>"
@@ -372,11 +381,68 @@ def _confusion(figures: dict[str, Any], trials: Sequence[Trial]) -> str:
     none = "No learnt label was ever taken for another."
     return (
         f"<h2>What is taken for what, after {n_touches_of(k)}</h2>"
-        + plots.confusion_plot(confusion, names)
+        + confusion_plot(confusion, names)
         + _lines(_strangers_answers(figures))
         + "<h2>Most confused pairs</h2>"
         + (shown or f"<p>{none}</p>")
     )
+
+
+def accuracy_curve(figures: dict[str, Any], curve: Array, spread: Array) -> str:
+    """Return accuracy against touches with its spread, chance and the controls.
+
+    `curve` and `spread` hold mean and standard deviation after 1, 2, 3... touches.
+    """
+    figure, ((axes,),) = panels(1, 1, SIDE_BY_SIDE)
+    touches = np.arange(1, len(curve) + 1)
+    low, high = np.clip(curve - spread, 0, 1), np.clip(curve + spread, 0, 1)
+    axes.fill_between(touches, 100 * low, 100 * high, color=OURS, alpha=0.15, lw=0)
+    axes.plot(touches, 100 * curve, color=OURS, lw=2.2, label=figures["preset"])
+    for colour, (name, control) in zip(
+        CONTROL_COLOURS, figures["controls"].items(), strict=False
+    ):
+        if control:
+            label = "without contact" if name == "no contact" else f"{name} alone"
+            after, right = map(int, control), (100 * v for v in control.values())
+            axes.plot([*after], [*right], "o--", color=colour, ms=4, lw=1, label=label)
+    axes.axhline(100 * figures["chance"], color=INK, lw=0.8, ls=":", label="chance")
+    axes.set(
+        xlabel="touches", ylabel="right, %", ylim=(0, 101), xlim=(1, max(2, len(curve)))
+    )
+    axes.set_xticks(whole_ticks(max(2, len(curve))))
+    # Beside the curves there is no place that is always free.
+    figure.legend(frameon=False, loc="outside upper left", ncols=2, fontsize=8)
+    return svg(figure, "Share right against touches")
+
+
+def whole_ticks(last: int) -> list[int]:
+    """Return at most eight numbers of touches from 1 to `last`, round ones."""
+    steps = (factor * 10**power for power in range(9) for factor in (1, 2, 5))
+    step = next(size for size in steps if last / size <= 7)
+    return [1, *range(step, last + 1, step)] if step > 1 else [*range(1, last + 1)]
+
+
+def calibration_plot(bins: dict[str, tuple[Array, Array, Array]]) -> str:
+    """Return share right against belief, one line per number of touches."""
+    figure, ((axes,),) = panels(1, 1, SIDE_BY_SIDE)
+    axes.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
+    shades = np.linspace(0.35, 1.0, max(1, len(bins)))
+    for shade, (name, (means, shares, _)) in zip(shades, bins.items(), strict=True):
+        style = {"color": OURS, "alpha": float(shade), "ms": 4, "lw": 1.4}
+        axes.plot(means, shares, "o-", label=f"after {name}", **style)
+    axes.set(xlabel="belief in the best", xlim=(0, 1.01))
+    axes.set(ylabel="share right", ylim=(0, 1.01))
+    axes.legend(frameon=False, fontsize=8)
+    return svg(figure, "Share right against belief")
+
+
+def confusion_plot(confusion: Array, names: Sequence[str]) -> str:
+    """Return the share of answers (columns) per true label (rows)."""
+    size = min(11.0, 2.6 + 0.33 * len(names))
+    figure, ((axes,),) = panels(1, 1, (size + 0.8, size))
+    draw_confusion(axes, confusion, names, max(4.5, 9 - 0.08 * len(names)))
+    axes.set(xlabel="recognised as", ylabel="touched")
+    return svg(figure, "Share of answers for each label touched")
 
 
 def _lines(sentences: Iterable[str]) -> str:

@@ -10,7 +10,6 @@ from ._episode import gather as gather
 from ._guarded import Guard, guarded_touch
 from ._place_belief import PlaceBelief
 from ._place_filter import advice
-from ._record import EpisodeLog as EpisodeLog
 from ._record import TouchRecord as TouchRecord
 from ._record import as_touches as as_touches
 from ._record import read_episode

@@ -6,7 +6,6 @@ from ._evidence import Evidence as Evidence
 from ._evidence import SequenceCalibration as SequenceCalibration
 from ._learning import EmptyTouchError as EmptyTouchError
 from ._memory import Memory as Memory
-from ._memory import left_out_groups as left_out_groups
 from ._model_file import ModelFileError as ModelFileError
 from ._presets import PRESETS as PRESETS
 from ._recogniser import ObjectRecogniser as ObjectRecogniser
@@ -14,8 +13,5 @@ from ._recogniser import adapt as adapt
 from ._remounting import Recentring as Recentring
 from ._remounting import sessions_message as sessions_message
 from ._sentences import OTHER_SESSION as OTHER_SESSION
-from ._sentences import few_objects_warning as few_objects_warning
-from ._sentences import teaching_advice as teaching_advice
 from ._sentences import touch_note as touch_note
-from ._strangers import episode_evidence as episode_evidence
 from ._user_parts import Modality as Modality

@@ -17,9 +17,8 @@ from .._checks import (
     check_option,
     check_strangers,
 )
-from .._numbers import log_softmax, with_floor
+from .._numbers import log_softmax, n_touches_of, share_of, with_floor
 from .._types import Array, Floats
-from .._words import n_touches_of, share_of
 from ..touches import Touches
 from . import _evidence, _strangers
 from ._evidence import NO_CONTACT, Evidence
@@ -77,6 +76,16 @@ class BeliefModel:
     memory: Memory
     other_session: bool = False
     uses_no_contact: bool = False
+
+    def after_each(
+        self, floored: Floats, by_encoding: Floats, log_distances: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return log posteriors and the evidence for a stranger after each touch.
+
+        Of episodes, whose log-likelihoods have their floor; see `episode_evidence`.
+        """
+        how = self.log_prior, self.sequence_calibration, self.strangers
+        return _strangers.episode_evidence(floored, by_encoding, log_distances, *how)
 
 
 class Belief:

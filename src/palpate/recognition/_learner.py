@@ -453,6 +453,15 @@ class Learner(BaseEstimator):
         self.modalities_ = {**self.modalities_, _memory.check_name(name): modality}
         return self
 
+    def left_out_groups(self, touches: Touches | TouchSource) -> Indices:
+        """Return which touches learning from these leaves out together, (n_touches,).
+
+        Groups as of `fit`: persons, else sessions, else blocks of each recording; where
+        categories are learnt, objects.
+        """
+        labels, objects = _memory.training_labels(touches, self.label)
+        return _memory.left_out_groups(touches, labels, objects, self.label)
+
     def remember_sensor(self, values: Mapping[str, Any] | None) -> Self:
         """Keep what the sensor was like, as plain values; it travels with the model."""
         self._check_fitted()

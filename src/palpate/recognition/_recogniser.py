@@ -36,7 +36,7 @@ from ._model_file import (
     read_model,
     write_model,
 )
-from ._sentences import N_JUDGED, draw_confusion, few_objects_warning
+from ._sentences import N_JUDGED, advice_of, draw_confusion
 from ._user_parts import Encoding, UserEncoding, user_encodings
 
 if TYPE_CHECKING:
@@ -46,8 +46,9 @@ if TYPE_CHECKING:
 SHARD = 4 * BATCH
 # Draws of touches that tell how well an object is known.
 N_DRAWN = 40
-# With so few touches of an object names are least sure: docs/explanation/page.md.
-FEW_TOUCHES = 10
+# With so few objects 70 % of things never taught are named, and with so few touches of
+# an object names are least sure: docs/explanation/page.md.
+_FEW_OBJECTS, FEW_TOUCHES = 5, 10
 
 
 class ObjectRecogniser(ClassifierMixin, Learner):
@@ -361,13 +362,32 @@ class ObjectRecogniser(ClassifierMixin, Learner):
             )
         return result
 
-    def limits_message(self) -> str:
-        """Return what a name is worth where few objects, or touches, were learnt."""
+    def teaching_advice(
+        self, qualities: list[dict[str, Any]] | None = None
+    ) -> list[str]:
+        """Return what to teach next, in sentences, of what `object_quality` returned.
+
+        That is asked now, unless `qualities` are what it returned. Of objects that too
+        few touches, one or eight, are right of, the worst first.
+        """
+        return advice_of(self.object_quality() if qualities is None else qualities)
+
+    def limits_message(self, *, of_touches: bool = True) -> str:
+        """Return what a name is worth where few objects, or touches, were learnt.
+
+        Few touches count only with `of_touches`.
+        """
         self._check_fitted()
         names, counts = np.unique(self.memory_.labels.astype(str), return_counts=True)
-        sentences = few_objects_warning(len(names), self.label)
+        sentences = []
+        if len(names) <= _FEW_OBJECTS:
+            kind = "objects" if self.label == "object" else "categories"
+            sentences.append(
+                f"It knows {len(names)} {kind} and nothing else: a thing that is none "
+                "of them is often called by one of their names."
+            )
         few = names[counts < FEW_TOUCHES].tolist()
-        if few:
+        if few and of_touches:
             sentences.append(
                 f"Of {listed(few, 3)} it learnt fewer than {FEW_TOUCHES} touches: a "
                 "wrong name may look certain."

@@ -19,15 +19,13 @@ import numpy as np
 
 from .._checks import listed
 from .._extras import needed
+from .._numbers import about, n_touches_of, share_of
 from .._types import Indices
-from .._words import about, n_touches_of, share_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 NOTHING = "nothing I know"
-# With so few objects 70 % of things never taught are named: docs/explanation/page.md.
-_FEW_OBJECTS = 5
 # Calibration is by touches left out of the training sessions.
 OTHER_SESSION = (
     "In another session than those of training, names are wrong more often than "
@@ -85,18 +83,6 @@ def _teach_again(names: Sequence[str]) -> str:
     ways = [f"{objects} again, at other places"] * bool(learnt)
     ways += ["this, if it is new"] * (len(learnt) < len(names))
     return f"more touches will not tell; teach {', or '.join(ways)}"
-
-
-def few_objects_warning(n_labels: int, label: str) -> list[str]:
-    """Return what a name is worth where few objects, or categories, were learnt."""
-    if n_labels > _FEW_OBJECTS:
-        return []
-    many = f"{n_labels} {'objects' if label == 'object' else 'categories'}"
-    sentence = (
-        f"It knows {many} and nothing else: a thing that is none of them is often "
-        "called by one of their names."
-    )
-    return [sentence]
 
 
 def is_counted(flag: str) -> bool:
@@ -258,11 +244,8 @@ def _axes(what: str, ax: Axes | None, size: tuple[float, float]) -> Axes:
     return ax or pyplot.subplots(figsize=size, layout="constrained")[1]
 
 
-def teaching_advice(qualities: list[dict[str, Any]]) -> list[str]:
-    """Return what to teach next, in sentences, of what `object_quality` returned.
-
-    Of objects that too few touches, one or eight, are right of, the worst first.
-    """
+def advice_of(qualities: list[dict[str, Any]]) -> list[str]:
+    """Return what to teach next; see `ObjectRecogniser.teaching_advice`."""
     few = [quality["name"] for quality in qualities if quality["after_eight"] is None]
     judged = (quality for quality in qualities if quality["after_eight"] is not None)
     low = [

@@ -157,8 +157,7 @@ class Study:
 
     def write_report(self, path: str | Path, result: dict[str, Any]) -> Path:
         """Write tables and pictures as one `.html` that loads nothing else."""
-        from .._page import check_report_path, html_table, report_page
-        from ..evaluation import plots
+        from .._page import check_report_path, html_table, report_page, svg
 
         subpackage = self._subpackage
         target = check_report_path(path)
@@ -166,7 +165,7 @@ class Study:
         sections.append(f"<p>{escape(subpackage.introduction(result))}</p>")
         for name, figure in subpackage.pictures(result).items():
             what, _, more = subpackage.CAPTIONS[name].partition("\n")
-            drawn = f"<div>{plots.svg(figure, what)}</div>"
+            drawn = f"<div>{svg(figure, what)}</div>"
             below = f"<figcaption><b>{escape(what)}.</b> {escape(more)}</figcaption>"
             inches = f"style='--inches:{figure.get_figwidth():g}'"
             sections.append(f"<figure {inches}>{drawn}{below}</figure>")

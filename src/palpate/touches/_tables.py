@@ -65,7 +65,7 @@ def table_arrays(
     first, second = [*(name for name in table if name not in named), "", ""][:2]
     if _stem(first) != _stem(second) and _is_clock(table[first]):
         named.add(first)
-    columns = {name: table[name] for name in named}
+    columns = {name: column for name, column in table.items() if name in named}
     if not (taxels := {n: column for n, column in table.items() if n not in named}):
         raise TouchesError(
             f"A table of touches must have columns of taxels, got {', '.join(table)}. "

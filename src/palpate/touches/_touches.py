@@ -22,7 +22,14 @@ from .._extras import needed
 from .._types import FILMS, PICTURES, Array
 from . import _columns
 from ._archive import read_archive, write_archive
-from ._columns import Arrays, TouchesError, check_layout, frame_summaries, frozen
+from ._columns import (
+    COLUMNS,
+    Arrays,
+    TouchesError,
+    check_layout,
+    frame_summaries,
+    frozen,
+)
 from ._containers import CONTAINERS, RAW, container_arrays, raw_arrays
 from ._folder import folder_arrays, no_contact_picture, shows_colour
 from ._parquet import is_parquet, parquet_parts
@@ -440,6 +447,12 @@ class Touches(Labelled):
         Shape (n_touches,), of objects; a library keeps these instead of the images.
         """
         return self._files
+
+    @property
+    def unknown_names(self) -> list[str]:
+        """Names of columns of numbers that are none of those palpate knows."""
+        kinds = {name: column.dtype.kind for name, column in self._columns.items()}
+        return [n for n in kinds if kinds[n] in "iuf" and n not in COLUMNS]
 
     def hides_colour(self) -> bool:
         """Tell whether the first picture shows colour, and was read in grey."""

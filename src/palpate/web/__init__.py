@@ -5,10 +5,8 @@ FastAPI application (the extra `web`).
 """
 
 from ._learning import remember_library as remember_library
-from ._ros import RosPublisher as RosPublisher
 from ._serving import PageServer as PageServer
 from ._serving import create_app
 from ._session import LiveSession
-from ._teaching import teachable_name as teachable_name
 
 __all__ = ["LiveSession", "create_app"]

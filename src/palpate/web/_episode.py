@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from .._numbers import figure_of, share_of
 from .._types import Array, Floats
-from .._words import figure_of, share_of
 from ..exploration import PlaceBelief, SurfaceMap, TouchRecord
 from ..recognition import (
     Belief,

@@ -15,7 +15,7 @@ import sys
 import threading
 import time
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..sensors import ros_place
 from ..sensors.ros import (
@@ -30,7 +30,9 @@ from ..sensors.ros import (
 from ..sensors.ros import read_message as read
 from ..sensors.ros import write_message as write
 from ._sensor_watch import Event
-from ._session import LiveSession
+
+if TYPE_CHECKING:
+    from ._session import LiveSession
 
 _TICK_S = 0.02
 _LONGEST = 200  # characters of a command
@@ -42,23 +44,10 @@ _SERVICES["teach"] = SET_BOOL
 class RosPublisher:
     """Publishes what a session believes, and does what is asked over the same wire.
 
-    Parameters
-    ----------
-    session : LiveSession
-        What recognises and learns.
-    address : str
-        `ros:PREFIX?domain=0&via=dds`: the prefix of all names, and where;
-        `&services=no` offers none, for a node that does.
-
-    Raises
-    ------
-    AddressError
-        The address is none.
-    SensorError
-        The network is not there.
+    Made by `LiveSession.publish`.
     """
 
-    def __init__(self, session: LiveSession, address: str) -> None:
+    def __init__(self, session: "LiveSession", address: str) -> None:
         place = ros_place(address)
         self.prefix = place.prefix
         self._session, self._object, self._warned = session, "", False

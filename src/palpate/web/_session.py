@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from .._checks import STRANGERS, check_number, check_strangers
 from .._durable import replacing
 from .._types import Array
 from ..exploration import SurfaceMap
-from ..recognition import Evidence, ObjectRecogniser, teaching_advice
+from ..recognition import Evidence, ObjectRecogniser
 from ..sensors import (
     ContactError,
     DetectedTouch,
@@ -34,7 +34,10 @@ from ._learning import (
     start_learning,
 )
 from ._sensor_watch import Event, Health, Listeners, SensorWatch
-from ._teaching import MOST_PER_LESSON, Teacher
+from ._teaching import MOST_PER_LESSON, Teacher, teachable_name
+
+if TYPE_CHECKING:
+    from ._ros import RosPublisher
 
 LONGEST_EPISODE = 1000
 ONE_SESSION = (
@@ -217,11 +220,14 @@ class LiveSession:
     @property
     def advice(self) -> list[str]:
         """What to teach next, in sentences, as lessons and learning tell."""
-        verdicts = {} if self.teacher is None else self.teacher.verdicts
-        sentences = [self.alarm, *verdicts.values(), *teaching_advice(self._quality)]
-        memory = None if self.recogniser is None else self.recogniser.memory_
-        if self.watch is not None and memory and len(np.unique(memory.sessions)) == 1:
-            sentences.append(ONE_SESSION)
+        sentences = [self.alarm]
+        if self.teacher is not None:
+            sentences += self.teacher.verdicts.values()
+        if (recogniser := self.recogniser) is not None:
+            sentences += recogniser.teaching_advice(self._quality)
+            sessions = recogniser.memory_.sessions
+            if self.watch is not None and len(np.unique(sessions)) == 1:
+                sentences.append(ONE_SESSION)
         return [sentence for sentence in sentences if sentence]
 
     def post_touch(
@@ -252,6 +258,23 @@ class LiveSession:
             checked = self._checked(image)
             return self._teacher().store(name, *checked, self.baseline, place)
 
+    def publish(self, address: str) -> "RosPublisher":
+        """Publish beliefs, and do what is asked, on ROS 2 until the result is closed.
+
+        `address` is `ros:PREFIX?domain=0&via=dds`: the prefix of all names, and where;
+        `&services=no` offers none, for a node that does.
+
+        Raises
+        ------
+        AddressError
+            The address is none.
+        SensorError
+            The network is not there.
+        """
+        from ._ros import RosPublisher
+
+        return RosPublisher(self, address)
+
     def view_from_above(self) -> dict[str, Any]:
         """Return what the places of the episode's touches tell; see `TopView`."""
         with self._lock:
@@ -270,6 +293,11 @@ class LiveSession:
         with self._changing():
             self.episode.open = False
             return self.episode.to_dict()
+
+    @staticmethod
+    def check_name(name: str) -> str:
+        """Return the name of an object as `teach` keeps it, or say what is wrong."""
+        return teachable_name(name)
 
     def teach(self, name: str, wanted: int, *, keep_episode: bool = False) -> None:
         """Store the next touches of the sensor as touches of an object.

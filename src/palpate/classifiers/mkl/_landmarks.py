@@ -20,8 +20,14 @@ from scipy.linalg import eigh
 
 from ..._types import Array, Floats
 from . import _problem
-from ._dense import DenseKernels, cholesky_solver
-from ._kernels import Kernel, centre, kernel_scales, kernel_stack
+from ._kernels import (
+    DenseKernels,
+    Kernel,
+    centre,
+    cholesky_solver,
+    kernel_scales,
+    kernel_stack,
+)
 from ._problem import Point, Solution, Step, Task, View, balanced, norms, row_blocks
 
 # Directions of a kernel below this share of its largest are rounding.

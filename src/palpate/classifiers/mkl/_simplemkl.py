@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..._types import Array, Floats
-from ._dense import DenseKernels
+from ._kernels import DenseKernels
 from ._problem import Point, Solution, Task, View, relative_gap, solve_interior
 
 _GOLDEN = (5**0.5 - 1) / 2

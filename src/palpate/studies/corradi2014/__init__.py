@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ... import studies as shared
-from ...evaluation import plots
+from ..._page import COLOURS, panels
 from .. import BATHTIP, Figures, Row, Table, Work, recorded_touches
 from . import judging
 from . import plan as stated
@@ -169,7 +169,7 @@ def pictures(result: dict[str, Any]) -> Figures:
 
 def _shapes(seed: int) -> Any:
     sets = list(stated.simulated_shapes(Corradi2014Plan(n_touches=10, seed=seed)))
-    figure, axes = plots.panels(4, len(SHAPES), (8.4, 5.0), pictures=True)
+    figure, axes = panels(4, len(SHAPES), (8.4, 5.0), pictures=True)
     for number, (shapes, variant) in enumerate((s, v) for s in sets for v in VARIANTS):
         for code in range(len(SHAPES)):
             row = int(np.flatnonzero(shapes.codes == code)[0])
@@ -184,11 +184,11 @@ def _shapes(seed: int) -> Any:
 def _indices(rows: Sequence[Row]) -> Any:
     sets = shared.unique(row["data"] for row in rows)
     size = (3.2 * len(sets) + 1, 3.4)
-    figure, (axes,) = plots.panels(1, len(sets), size, sharey=True)
+    figure, (axes,) = panels(1, len(sets), size, sharey=True)
     encodings = shared.unique(row["encoding"] for row in rows)[::-1]
     reach = [r["ours"] for r in rows] + [r["paper"] for r in rows if r["paper"]]
     for place, data in zip(axes, sets, strict=True):
-        for variant, colour, lift in zip(VARIANTS, plots.COLOURS, LIFTS, strict=False):
+        for variant, colour, lift in zip(VARIANTS, COLOURS, LIFTS, strict=False):
             of_variant = shared.held(rows, data=data, variant=variant)
             points = [(r, encodings.index(r["encoding"]) + lift) for r in of_variant]
             for key, face, label in (
@@ -214,7 +214,7 @@ def _indices(rows: Sequence[Row]) -> Any:
 def _bars(rows: Sequence[Row]) -> Any:
     sets = shared.unique(row["data"] for row in rows)
     size = (9.2, 2.5 * len(sets))
-    figure, axes = plots.panels(len(sets), 2, size, sharex=True, sharey=True)
+    figure, axes = panels(len(sets), 2, size, sharex=True, sharey=True)
     encodings = shared.unique(row["encoding"] for row in rows)
     for line, data in zip(axes, sets, strict=True):
         for place, variant in zip(line, VARIANTS, strict=True):
@@ -230,7 +230,7 @@ def _bars(rows: Sequence[Row]) -> Any:
 def _panel(place: Any, rows: Sequence[Row], encodings: Sequence[str]) -> None:
     """Randomised folds as bars, grouped folds as points."""
     width = 0.8 / len(CLASSIFIERS)
-    looks = zip(CLASSIFIERS, plots.COLOURS, strict=False)
+    looks = zip(CLASSIFIERS, COLOURS, strict=False)
     for number, (kind, colour) in enumerate(looks):
         last = number == len(CLASSIFIERS) - 1
         for folds in ("randomised", "grouped"):

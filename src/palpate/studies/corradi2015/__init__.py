@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ... import studies as shared
-from ...evaluation import plots
+from ..._page import CONTROL_COLOURS, INK, OURS, draw_confusion, panels
 from .. import BATHTIP, Figures, Row, Table, Work, recorded_touches
 from . import episodes
 from . import plan as stated
@@ -59,12 +59,12 @@ _PAPER_LINES: dict[str, list[tuple[str, dict[int, float]]]] = {
         for label, table in SIGHT.items()
     },
 }
-_PURPLE, _GREY, _BROWN, _OLIVE = (plots.CONTROLS[i] for i in (2, 3, 0, 1))
+_PURPLE, _GREY, _BROWN, _OLIVE = (CONTROL_COLOURS[i] for i in (2, 3, 0, 1))
 # Recogniser -> colour and line; mixtures share one colour.
 _STYLES: dict[str, tuple[str, str, float]] = {
-    DEFAULT: (plots.OURS, "-", 2.2),
-    MAIN: (plots.INK, "-", 2.2),
-    FLOORED: (plots.INK, "--", 1.2),
+    DEFAULT: (OURS, "-", 2.2),
+    MAIN: (INK, "-", 2.2),
+    FLOORED: (INK, "--", 1.2),
     CLUSTERS: (_PURPLE, "-", 1.2),
     "mixtures of 1": (_OLIVE, "-", 1.2),
     "mixtures of 2": (_OLIVE, "--", 1.2),
@@ -204,7 +204,7 @@ def _accuracy(
     height: float,
     legend_of: int,
 ) -> Any:
-    figure, axes = plots.panels(1, len(sides), (4.4 * len(sides), height))
+    figure, axes = panels(1, len(sides), (4.4 * len(sides), height))
     for place, (rows, figures, title) in zip(axes[0], sides, strict=True):
         for name, (colour, line, width) in _STYLES.items():
             curve = shared.held(rows, recogniser=name)
@@ -218,7 +218,7 @@ def _accuracy(
                 low, high = np.clip(mean - sd, 0, 100), np.clip(mean + sd, 0, 100)
                 place.fill_between(touches, low, high, color=colour, alpha=0.12, lw=0)
         published = zip(*figures.items(), strict=True)
-        place.plot(*published, "D", mec=plots.INK, mfc="none", ms=7, label="published")
+        place.plot(*published, "D", mec=INK, mfc="none", ms=7, label="published")
         most = max((row["touches"] for row in rows), default=1)
         ticks = [1, *range(5, most + 1, 5)]
         place.set(xlabel="touches", ylim=(0, 101), xticks=ticks)
@@ -233,11 +233,11 @@ def _accuracy(
 def _confusion(confusion: dict[str, Any]) -> Any:
     n_columns = max(len(matrices["after"]) for matrices in confusion.values())
     size = (4.5 * n_columns, 4.2 * len(confusion))
-    figure, axes = plots.panels(len(confusion), n_columns, size)
+    figure, axes = panels(len(confusion), n_columns, size)
     for line, (data, matrices) in zip(axes, confusion.items(), strict=True):
         names = [name.replace("_", " ") for name in matrices["names"]]
         for place, (k, matrix) in zip(line, matrices["after"].items(), strict=True):
-            plots.draw_confusion(place, np.array(matrix), names, 7)
+            draw_confusion(place, np.array(matrix), names, 7)
             place.spines[["top", "right"]].set_visible(True)
             place.set_title(f"{DATA_NAMES[data]}, after {k} touches", fontsize=9)
     return figure
@@ -247,7 +247,7 @@ def _beliefs(result: dict[str, Any]) -> Any:
     beliefs_of = {data: by_preset[MAIN] for data, by_preset in result["unseen"].items()}
     n_columns = max(len(curves) for curves in beliefs_of.values())
     size = (2.5 * n_columns, 2.7 * len(beliefs_of))
-    figure, axes = plots.panels(len(beliefs_of), n_columns, size)
+    figure, axes = panels(len(beliefs_of), n_columns, size)
     for line, (data, curves) in zip(axes, beliefs_of.items(), strict=True):
         names = result["confusion"][data]["names"]
         for place, (thing, curve) in zip(line, curves.items(), strict=False):
@@ -257,7 +257,7 @@ def _beliefs(result: dict[str, Any]) -> Any:
             order = np.argsort(-beliefs.mean(axis=0), kind="stable").tolist()
             for number in sorted(order[3:]):
                 place.plot(touches, beliefs[:, number], color="#c8ced3", lw=0.7)
-            colours = (plots.OURS, _BROWN, _PURPLE)
+            colours = (OURS, _BROWN, _PURPLE)
             for number, colour in zip(order[:3], colours, strict=False):
                 look = {"color": colour, "label": names[number].replace("_", " ")}
                 place.plot(touches, beliefs[:, number], lw=1.6, **look)

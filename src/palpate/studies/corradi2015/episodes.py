@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.decomposition import PCA
 
+from ..._numbers import n_touches_of
 from ..._types import Bools, Floats, Label, PresetName
-from ..._words import n_touches_of
 from ...classifiers import KernelDensityBayes
 from ...recognition import ObjectRecogniser
 from ...touches import Touches

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from ... import studies as shared
+from ..._page import COLOURS, CONTROL_COLOURS, INK, OURS, panels
 from ..._types import Floats
 from ...encodings import FourierDescriptors
-from ...evaluation import plots
 from ...images import ArrayCleanUp
 from ...simulation import find_parts
 from ...touches import Touches
@@ -55,17 +55,17 @@ CAPTIONS = {
 }
 DATA_NAMES = {"simulated": "simulated", "taxel10x10": "real"}
 STAGES_SHOWN, WAVES_KEPT = 3, 3  # what a picture has room for
-LEVELS, LINE = "cividis", plots.COLOURS[1]
+LEVELS, LINE = "cividis", COLOURS[1]
 # Encoding, scaling, name, colour and line of the curves over load and cover.
 CURVES = (
-    ("FD+GE", "z-scored", "FD+GE, z-scored", plots.OURS, "o-"),
-    ("FD+GE", "raw", "FD+GE, raw", plots.OURS, "o--"),
-    ("sorted pixels", "z-scored", "sorted pixels", plots.CONTROLS[0], "s:"),
-    ("raw pixels", "z-scored", "raw pixels", plots.CONTROLS[3], "s:"),
+    ("FD+GE", "z-scored", "FD+GE, z-scored", OURS, "o-"),
+    ("FD+GE", "raw", "FD+GE, raw", OURS, "o--"),
+    ("sorted pixels", "z-scored", "sorted pixels", CONTROL_COLOURS[0], "s:"),
+    ("raw pixels", "z-scored", "raw pixels", CONTROL_COLOURS[3], "s:"),
 )
 _OVERLAP = (
-    ("in_pieces", "presses in several pieces", plots.CONTROLS[0]),
-    ("overlap", "overlap with the true face", plots.OURS),
+    ("in_pieces", "presses in several pieces", CONTROL_COLOURS[0]),
+    ("overlap", "overlap with the true face", OURS),
 )
 _FEATURES = {"Fig. 12": "descriptors", "Fig. 13": "geometry", "Fig. 14": "both"}
 _MARKS = "os^D"
@@ -223,7 +223,7 @@ def draw_stages(touches: Touches) -> Any:
         line[0].autoscale(False)
         line[0].set_title(name, fontsize=9)
         for number, edge in enumerate(_edges(touches, row)):
-            line[0].fill(*edge, color="white" if number else plots.CONTROLS[3])
+            line[0].fill(*edge, color="white" if number else CONTROL_COLOURS[3])
         for place, (stage, image) in zip(line[1:], chain.items(), strict=True):
             place.imshow(image, cmap="gray" if "binary" in stage else LEVELS)
     for number, stage in enumerate(("part", *chain)):
@@ -241,7 +241,7 @@ def draw_boundaries(touches: Touches) -> Any:
         waves[np.abs(np.fft.fftfreq(len(points), 1 / len(points))) > WAVES_KEPT] = 0
         place.imshow(binary, cmap="gray", vmin=-3, vmax=1)
         place.autoscale(False)
-        place.fill(*points.T, fill=False, ec=plots.OURS, lw=2)
+        place.fill(*points.T, fill=False, ec=OURS, lw=2)
         place.fill(*np.fft.ifft(waves, axis=0).real.T, fill=False, ec=LINE, lw=1.2)
         place.set_title(f"{name}: {len(points)}", fontsize=9)
     return figure
@@ -251,7 +251,7 @@ def draw_class_sets(rows: Sequence[Row]) -> Any:
     """Draw Figs 12 to 14 of rows of simulated presses, the paper's figures hollow."""
     simulated = shared.held(rows, data="simulated")
     scalings = shared.unique(row["features"] for row in simulated)
-    figure, axes = plots.panels(3, len(scalings), (4.9, 7.2), sharey=True)
+    figure, axes = panels(3, len(scalings), (4.9, 7.2), sharey=True)
     for line, (table, what) in zip(axes, _FEATURES.items(), strict=True):
         for place, scaling in zip(line, scalings, strict=True):
             place.set_title(f"{table}: {what}, {scaling}", fontsize=9)
@@ -260,14 +260,14 @@ def draw_class_sets(rows: Sequence[Row]) -> Any:
             for at, name in enumerate(CLASS_SETS):
                 of_class_set = shared.held(of_table, classes=name)
                 at_counts = [{**row, "n": row["n"] or at} for row in of_class_set]
-                look = {"color": plots.COLOURS[at], "marker": _MARKS[at], "lw": 1.3}
+                look = {"color": COLOURS[at], "marker": _MARKS[at], "lw": 1.3}
                 _curve(place, at_counts, "n", label=name, **look)
                 beside = [(r["n"], r["paper"]) for r in at_counts if r["paper"]]
                 place.plot(*zip(*beside, strict=True), mfc="none", ms=9, ls="", **look)
         line[0].set_ylabel("3-NN right, %")
     for place in axes[1]:
         place.set(xticks=[], xlabel="")
-    axes[0, 0].plot([], "o", mfc="none", mec=plots.INK, ms=9, label="the paper's")
+    axes[0, 0].plot([], "o", mfc="none", mec=INK, ms=9, label="the paper's")
     look = {"loc": "outside lower center", "ncols": 2, "fontsize": 9, "frameon": False}
     figure.legend(*axes[0, 0].get_legend_handles_labels(), **look)
     return figure
@@ -275,7 +275,7 @@ def draw_class_sets(rows: Sequence[Row]) -> Any:
 
 def draw_conditions(rows: Sequence[Row]) -> Any:
     """Draw the scores, and how images fall apart, that belong to Figs 5 and 6."""
-    figure, axes = plots.panels(2, 2, (4.9, 5.2), sharex="col", sharey="row")
+    figure, axes = panels(2, 2, (4.9, 5.2), sharex="col", sharey="row")
     sides = (("Fig. 5", "load_kgf", "load, kgf"), ("Fig. 6", "cover_mm", "cover, mm"))
     for (above, below), (table, key, label) in zip(axes.T, sides, strict=True):
         of_table = shared.held(rows, table=table)
@@ -317,7 +317,7 @@ def _edges(touches: Touches, row: int) -> list[Floats]:
 
 def _images(n_rows: int, n_columns: int, side: float) -> tuple[Any, Any]:
     size = (side * n_columns, side * n_rows + 0.3)
-    return plots.panels(n_rows, n_columns, size, pictures=True)
+    return panels(n_rows, n_columns, size, pictures=True)
 
 
 def introduction(result: dict[str, Any]) -> str:

@@ -14,10 +14,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ... import studies as shared
+from ..._page import CONTROL_COLOURS, OURS, panels
 from ..._types import Label
 from ...datasets import where
 from ...evaluation import Plan as EvaluationPlan
-from ...evaluation import evaluate, plots, roc_area, split_by_count, split_touches
+from ...evaluation import evaluate, roc_area, split_by_count, split_touches
 from ...recognition import ObjectRecogniser
 from ...simulation import simulate_presses, simulate_touches
 from ...touches import Touches, TouchesError
@@ -253,12 +254,12 @@ def pictures(result: dict[str, Any]) -> Figures:
     ways = [*WAYS.values(), CEILING]
     shown = [r for r in shared.held(result["rows"], touches=1) if r["way"] in ways]
     names = shared.unique(row["data"] for row in shown)
-    figure, axes = plots.panels(1, 1, (7, 1 + 1.1 * len(names)))
+    figure, axes = panels(1, 1, (7, 1 + 1.1 * len(names)))
     place = axes[0, 0]
     for row in shown:
         number = ways.index(row["way"])
         at = names.index(row["data"]) + 0.13 * (number - len(ways) / 2)
-        colour = plots.CONTROLS[0] if row["way"] == CEILING else plots.OURS
+        colour = CONTROL_COLOURS[0] if row["way"] == CEILING else OURS
         alpha = 0.35 + 0.65 * number / len(ways)
         place.barh(at, row["ours"], 0.12, color=colour, alpha=alpha)
         place.text(row["ours"] + 1, at, row["way"], fontsize=7, va="center")
