@@ -73,7 +73,7 @@ def check(
     notes = _notes(pictures, odd)
     if (
         read
-        and kind_of(touches) == "file"
+        and not pictures.is_of_pictures
         and (left := reading.left_aside(touches, read))
     ):
         notes.append(left)
