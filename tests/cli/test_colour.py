@@ -94,6 +94,27 @@ def test_numbers_beside_numbered_taxels_are_said_to_be_left(palpate, tmp_path):
     assert not checked["notes"]
 
 
+def test_columns_that_were_read_as_taxels_are_named(palpate, tmp_path, rng):
+    """A time or the number of an object among them would tell objects by itself."""
+    path = tmp_path / "fields.csv"
+    rows = [["object", "Bx", "By", "Bz", "ticks", "object_id"]]
+    for n, name in enumerate(["mug", "pen"] * 12):
+        rows.append([name, *rng.normal(size=3), n + rng.random(), n % 2])
+    path.write_text("\n".join(",".join(map(str, row)) for row in rows))
+    names = (
+        "5 columns of numbers were read as taxels, in this order: Bx, By, Bz, ticks, "
+        "object_id"
+    )
+    (note,) = palpate.answer("check", path)["notes"]
+    assert note.startswith(names)
+    printed = palpate("learn", path, "-o", tmp_path / "m.palpate").stdout
+    assert names in " ".join(printed.split())
+    words = ("evaluate", "--train", path, "--split", "last")
+    assert palpate.answer(*words)["recommendations"][0].startswith(names)
+    path.write_text(path.read_text().replace("Bx,By,Bz,ticks,object_id", "0,1,2,3,4"))
+    assert not palpate.answer("check", path)["notes"]
+
+
 def test_a_folder_of_parquet_hides_nothing(palpate, pictures, tmp_path):
     pytest.importorskip("pyarrow")
     folder = tmp_path / "set.parquet"

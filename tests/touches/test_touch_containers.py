@@ -302,6 +302,8 @@ def test_labels_beside_pictures_are_columns(put):
         touches = Touches.load(root)
         assert touches.object.tolist() == touches.columns["label"].tolist() == [*"aba"]
         assert touches.columns["class"].tolist() == [1, 2, 1]
+    table.write_text("Image,Label\n0.png,a\n1.png,b\n2.png,a\n")
+    assert Touches.load(root).object.tolist() == [*"aba"]
     for path_column, message in (
         ("filename", r"none for 0.png \(2 of 3\)"),
         ("what", "one of them file, filename"),
@@ -451,6 +453,81 @@ def test_numbers_with_an_underscore_between_are_names(csv):
     assert touches.columns["trial"].tolist() == ["1_1", "1_10"]
 
 
+@pytest.mark.parametrize("name", ["Object", " OBJECT", "label", "Class", "# object"])
+def test_the_column_of_names_may_be_spelt_otherwise(csv, tmp_path, name):
+    """Numbers of objects under such a name were a taxel that tells all of them."""
+    table = csv(f"{name},Session,left,right\n7,1,0.5,0.25\n8,1,0.25,0.5\n")
+    touches = Touches.load(table)
+    assert touches.object.tolist() == ["7", "8"]
+    assert touches.session.tolist() == ["1", "1"]
+    assert touches.images.shape == (2, 1, 2)
+    table = csv(f"object,{name},left\nmug,7,0.5\n", "in/table.csv")
+    if name in ("label", "Class"):
+        assert Touches.load(table).images.tolist() == [[[7, 0.5]]]
+
+
+@pytest.mark.parametrize("name", ["Time", "timestamp", "time (ms)", "stamp_ns"])
+def test_a_column_called_time_is_a_clock_wherever_it_stands(csv, rng, name):
+    """Touches that a hand makes do not come at even steps."""
+    rows = [f"{rng.random()},{rng.random()},pen,{1e9 + rng.random()}" for _ in "123456"]
+    touches = Touches.load(csv("\n".join([f"left,right,object,{name}", *rows])))
+    assert touches.images.shape == (6, 1, 2)
+    assert touches.columns[name].min() > 1e9
+
+
+@pytest.mark.parametrize(
+    ("names", "order"),
+    [
+        ("t0,t1,t10,t11,t2,t3,t4,t5,t6,t7,t8,t9", "t0, t1, t10, t11"),
+        ("p10_x,p10_y,p10_z,p1_x,p1_y,p1_z,p2_x,p2_y,p2_z,p3_x,p3_y,p3_z", "p10_x"),
+        ("t00,t01,t02,t03,t04,t05,t06,t07,t08,t09,t10,t11", ""),
+        ("t11,t10,t9,t8,t7,t6,t5,t4,t3,t2,t1,t0", ""),
+    ],
+)
+def test_taxels_that_were_sorted_as_text_lie_elsewhere(csv, names, order):
+    table = csv(f"{names}\n{','.join('123456789012')}\n")
+    assert Touches.load(table).geometry == "none"
+    if not order:
+        assert Touches.load(table, shape=(3, 4)).images[0, 0, 1] == 2
+        return
+    with pytest.raises(TouchesError, match=f"stand row by row, got {order}"):
+        Touches.load(table, shape=(3, 4))
+
+
+@pytest.mark.parametrize(
+    ("names", "channels", "message"),
+    [
+        ("p0_x,p0_y,p1_x,p1_y", "xy", ""),
+        ("Bx0,By0,Bx1,By1", "xy", ""),
+        ("sensor0,sensor1,sensor2,sensor3", "rg", ""),
+        ("p0_x,p1_x,p0_y,p1_y", "xy", "got p1_x for y. Sort them so"),
+        ("p0_y,p0_x,p1_y,p1_x", "xy", "got p0_y for x. Sort them so"),
+    ],
+)
+def test_numbers_of_another_channel_are_refused(csv, names, channels, message):
+    table = csv(f"{names}\n1,2,3,4\n")
+    if not message:
+        touches = Touches.load(table, channels=[*channels])
+        assert touches.images.tolist() == [[[[1, 2], [3, 4]]]]
+        return
+    with pytest.raises(TouchesError, match=message):
+        Touches.load(table, channels=[*channels])
+
+
+def test_files_that_are_no_rows_of_taxels_are_refused(csv):
+    """A clock beside the frames of a recording was a column of each image."""
+    for name in ("in/mug/0.csv", "in/pen/1.csv"):
+        path = csv("\n".join(f"{0.5 * n},{n % 2},{n % 3}" for n in range(6)), name)
+    with pytest.raises(TouchesError, match="rises evenly, as a clock does"):
+        Touches.load(path.parents[1])
+    csv("time,t0,t1\n0,1,2\n", "in/mug/0.csv")
+    with pytest.raises(TouchesError, match=r"alone, .* got names \(time, t0, t1"):
+        Touches.load(path.parents[1])
+    table = csv("1,2,3\n4,5,6\n")
+    with pytest.raises(TouchesError, match="write all rows of a touch into one line"):
+        Touches.load(table, shape=(2, 3))
+
+
 def test_without_a_shape_a_table_has_no_geometry(csv):
     """With one of a single row it is a strip, which images alone do not say."""
     file = csv("1;2;3\n4;5;6\n")
@@ -526,6 +603,14 @@ def test_each_file_of_a_folder_is_a_touch(tmp_path, rng, ending, write):
         ("1,5;2,5\n3,5;4,5\n", "must hold numbers with a decimal point"),
         ("1,5;;2,5\n3,5;;4,5\n", "must hold numbers with a decimal point"),
         ('"1,2\n3,4\n', "must be a CSV file of numbers in UTF-8"),
+        ("mug,3,9,4\npen,3,8,4\n", "begin with a line of names, .* got mug, 3, 9, 4"),
+        ("object;t0\n;kPa\nmug;1,5\nmug;2,5\n", "t0 must hold .* point, got '1,5'"),
+        ("t0,t1,t2\n0x1F,2,3\n0x1E,2,4\n", "t0 must hold numbers as t2 does, got '0x"),
+        ("ROWS\t4\nNOTES\n1,2\n", "or have lines before its table: take these out"),
+        (
+            "# by Jo\nobject,t0,t1\nmug,1,2\n",
+            "line 2 must have 1 cells .* lines before",
+        ),
     ],
 )
 def test_what_is_no_table_of_touches_is_refused(csv, text, message):
@@ -596,6 +681,24 @@ def test_data_frames_become_touches_and_touches_data_frames(csv):
     assert len(columns) == 3
     with pytest.raises(TouchesError, match="must have columns of taxels"):
         Touches.from_frame(frame[["object"]])
+
+
+def test_what_a_data_frame_says_of_touches_is_no_taxel():
+    """Its index was lost, and truth among numbers a taxel, as it is not in a CSV."""
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame(
+        {"left": [0.5, 0.25], "right": [1.5, 1.25], "valid": [True, False]},
+        index=pandas.Index(["mug", "pen"], name="object"),
+    )
+    touches = Touches.from_frame(frame)
+    assert touches.object.tolist() == ["mug", "pen"]
+    assert touches.columns["valid"].tolist() == [True, False]
+    assert touches.images.tolist() == [[[0.5, 1.5]], [[0.25, 1.25]]]
+    switches = pandas.DataFrame({"left": [True, False], "right": [False, False]})
+    assert Touches.from_frame(switches).images.tolist() == [
+        [[True, False]],
+        [[False, False]],
+    ]
 
 
 @pytest.mark.parametrize("names", [[0, 1, 0, 1], [0, 1, 2, "1"]])

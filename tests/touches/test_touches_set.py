@@ -106,6 +106,18 @@ def test_bad_images_are_refused(images, message):
         Touches(images)
 
 
+def test_frames_of_presses_are_no_channels():
+    with pytest.raises(TouchesError, match="give one of each press, and all as `press"):
+        Touches(np.zeros((2, 20, 8, 6)))
+
+
+def test_blanks_around_a_label_are_none_of_it():
+    labels = ["mug", "mug ", " mug", "mug\u00a0", "my mug"]
+    touches = Touches(np.zeros((5, 2, 2)), object=labels, category=labels)
+    assert touches.object.tolist() == ["mug"] * 4 + ["my mug"]
+    assert touches.category.tolist() == touches.object.tolist()
+
+
 def test_infinity_is_found_beyond_the_first_block():
     images = np.zeros((5, 1500, 1500), dtype=np.float16)
     images[4, 3, 3] = np.inf
@@ -129,6 +141,7 @@ def test_infinity_is_found_beyond_the_first_block():
         ({"object": [1.0, 2.0]}, "text or integers, got an array of float64"),
         ({"object": [True, False]}, "text or integers, got an array of bool"),
         ({"object": [["a"], ["b"]]}, "one value per touch, got shape"),
+        ({"object": [[0, 1], [1, 0]]}, r"zeros give object\.argmax\(axis=1\)"),
         ({"object": ["a", None]}, "object must hold plain numbers or text.* Fill in"),
         ({"object": [b"a", b"\xff"]}, "object must be UTF-8 text"),
         ({"object": ["a", "b\n"]}, "Leave out line breaks"),

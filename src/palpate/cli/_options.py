@@ -627,9 +627,10 @@ class Reading:
         return f"folders were read as {'/'.join(levels)}; --levels says otherwise"
 
     def left_aside(self, path: Path, touches: "Labelled") -> str:
-        """Return what of touches is not looked at, if nobody said it.
+        """Return what of touches may be looked at wrongly, or not, if nobody said it.
 
-        The colour of pictures, and columns of numbers beside a vector's numbered ones.
+        The colour of pictures, pictures that are not read or named in several ways, and
+        columns of numbers.
         """
         from ..touches import Touches
 
@@ -642,14 +643,29 @@ class Reading:
                 "behind a gel"
             )
         is_text = kind == "file" and path.suffix.lower() in (".csv", ".tsv", ".txt")
-        if is_text and touches.geometry == "none" and (names := touches.unknown_names):
-            listed = ", ".join(names[:5]) + " and more" * (len(names) > 5)
-            return (
-                f"numbers beside the numbered taxels are kept, not looked at "
-                f"({listed}): what tells objects apart must have a taxel's name and "
-                "the next number"
-            )
-        return ""
+        return _read_as_taxels(path, touches) if is_text else ""
+
+
+def _read_as_taxels(path: Path, touches: "Touches") -> str:
+    """Return which columns of a text file are taxels, where names leave it open."""
+    from ..touches import in_order, taxel_names
+
+    notes = []
+    if touches.geometry == "none" and (names := touches.unknown_names):
+        listed = ", ".join(names[:5]) + " and more" * (len(names) > 5)
+        notes.append(
+            f"numbers beside the numbered taxels are kept, not looked at "
+            f"({listed}): what tells objects apart must have a taxel's name and "
+            "the next number"
+        )
+    names = taxel_names(path, touches.columns)
+    if not in_order(names) and len(names) == touches.images[0].size:
+        few = ", ".join([*names[:4], "...", *names[-3:]] if len(names) > 8 else names)
+        notes.append(
+            f"{len(names)} columns of numbers were read as taxels, in this order: "
+            f"{few}; take out what is none, such as times and numbers of objects"
+        )
+    return "; ".join(notes)
 
 
 def _sides(text: str) -> tuple[int, int]:

@@ -15,6 +15,8 @@ from ._pictures import decode_bytes
 from ._pictures import png_bytes as png_bytes
 from ._sources import ParquetTouches as ParquetTouches
 from ._sources import TouchSource, read_parquet
+from ._tables import in_order as in_order
+from ._tables import taxel_names as taxel_names
 from ._touches import Labelled as Labelled
 from ._touches import Touches
 

@@ -156,9 +156,11 @@ def checked_column(name: str, array: Array, n_touches: int) -> Array:
             "Cut or fill it; begin its name with set_ if it describes the whole set."
         )
     if name in FLAT and array.ndim != 1:
+        fix = f"Give its parts names of their own, or use {name}[:, 0]."
+        if name in LABELS and array.ndim == 2 and array.shape[1] > 1:
+            fix = f"Of labels as ones among zeros give {name}.argmax(axis=1)."
         raise TouchesError(
-            f"{name} must have one value per touch, got shape {array.shape}. "
-            f"Give its parts names of their own, or use {name}[:, 0]."
+            f"{name} must have one value per touch, got shape {array.shape}. {fix}"
         )
     if name in NUMBERS and array.dtype.kind not in "iuf":
         fix = "Convert it first, for example with .astype(float)."
@@ -309,7 +311,7 @@ def _checked_labels(name: str, array: Array) -> Array:
             "Label that touch or leave it out."
         )
     texts = text.tolist()
-    spelt = {label: one_spelling(label) for label in set(texts)}
+    spelt = {label: one_spelling(label.strip(" \u00a0")) for label in set(texts)}
     for label, spelling in spelt.items():
         if spelling is None:
             raise _unprintable(name, label)
@@ -350,6 +352,11 @@ def check_layout(images: Array, columns: Arrays, whole: Arrays) -> None:
             "channels: r,g,b of colours, x,y,z of forces. Images without a fourth axis "
             "have none: leave them out."
         )
+        if names is None and n_channels > 1:
+            fix += (
+                " Frames of presses (n_touches, n_frames, n_rows, n_cols) are no "
+                "images: give one of each press, and all as `press_frames`."
+            )
         if images.shape[1] <= 4 < n_channels:  # as PyTorch has them
             fix = (
                 "Channels come last: images.transpose(0, 2, 3, 1), each with its name."

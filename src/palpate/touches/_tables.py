@@ -1,19 +1,23 @@
 """Touches from tables: CSV files, arrays of numpy, data frames of pandas.
 
 Of a CSV file by itself, or a data frame, each row is a touch: the columns that
-`Touches` knows by name (`object`, `session`, `force_n`, `x_mm`...), or that hold text,
+`Touches` knows by name (`object`, `session`, `force_n`, `x_mm`..., also in capitals;
+`label` or `class` is the object where none is called so), or that hold text,
 are columns; all other numbers are taxels, in their order; a first line of 0, 1, 2...
 (five at least) is the names that pandas gives. Where taxels are numbered
-(t0, t1, t2...), numbers of a name without one are columns too, as is a first column
-that rises evenly, which is a clock. Of a folder of CSV or
-`.npy` files each file is a touch, its lines the rows of taxels.
+(t0, t1, t2...), numbers of a name without one are columns too, as is a clock: what is
+called time, timestamp or stamp, with or without a unit, or a first column that rises
+evenly. Of a folder of CSV or `.npy` files each file is a touch, its lines the rows of
+taxels.
 """
 
 import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from itertools import pairwise
 from math import isfinite
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -27,6 +31,7 @@ TEXTS = (".txt", ".tsv")  # by themselves; in folders they are notes
 _PLACES = ("x_mm", "y_mm", "z_mm")
 _TEXTS = ("object", "category", "session", "subject")
 _NAMED = COLUMNS | {*_PLACES, "subject"}
+CLOCK = re.compile(r"(time|timestamp|stamp)([ _(\[].*)?", re.IGNORECASE)
 _LEAST_OF_CLOCK = 5  # numbers a line, of which the first may be a time
 _LEAST_OF_COUNT = 5  # 0, 1, 2... that are names
 _FILE_NAMES = ("file", "filename", "file_name", "path", "image", "name")
@@ -45,10 +50,12 @@ def table_arrays(
 
     Of a taxel with `channels` these follow each other.
     """
+    table = dict(zip(_spelt([*table]), table.values(), strict=True))
     for name, column in table.items():
         is_text = column.dtype.kind == "U" and name not in _TEXTS
-        commas = [str(cell) for cell in column if is_text and "," in cell]
-        if commas and all(map(_DECIMAL_COMMA.fullmatch, column)):
+        numbers = [c for c in column if is_text and c and _DECIMAL_COMMA.fullmatch(c)]
+        commas = [str(cell) for cell in numbers if "," in cell]
+        if commas and 2 * len(numbers) > np.count_nonzero(column != ""):
             raise TouchesError(
                 f"Column {name} must hold numbers with a decimal point, got "
                 f"{commas[0]!r}. Write points (of pandas, read_csv(decimal=','))."
@@ -61,6 +68,10 @@ def table_arrays(
                 "Correct it; where a taxel is dead leave it empty."
             )
     named = {n for n, c in table.items() if n in _NAMED or c.dtype.kind not in "biuf"}
+    if any(table[n].dtype.kind != "b" for n in table.keys() - named):
+        named |= {n for n, c in table.items() if c.dtype.kind == "b"}
+    named |= {name for name in table if CLOCK.fullmatch(name)}
+    _refuse_texts_of_taxels(table, named)
     named |= _beside_numbered([name for name in table if name not in named])
     first, second = [*(name for name in table if name not in named), "", ""][:2]
     if _stem(first) != _stem(second) and _is_clock(table[first]):
@@ -80,13 +91,15 @@ def table_arrays(
             f"A table of {len(taxels)} numbers a touch must have as many of each "
             f"channel, got {', '.join(channels or ())}. Name what is no taxel."
         )
+    _refuse_another_order([*taxels], shape is not None, channels or ())
     n_taxels = len(taxels) // n_channels
     n_rows, n_cols = (1, n_taxels) if shape is None else checked_shape(shape)
     if n_rows * n_cols != n_taxels:
+        in_lines = ", or write all rows of a touch into one line" * (n_cols == n_taxels)
         raise TouchesError(
             f"shape must have as many taxels as the table, {n_taxels}, got "
             f"{n_rows} x {n_cols}. Its columns of taxels are {listed([*taxels], 3)}: "
-            "leave out what is none."
+            f"leave out what is none{in_lines}."
         )
     depth = [n_channels] if channels else []
     images = np.stack([*taxels.values()], axis=1).reshape(-1, n_rows, n_cols, *depth)
@@ -112,6 +125,77 @@ def _stem(name: str) -> str:
     return name.rstrip("0123456789")
 
 
+def _spelt(names: Sequence[str]) -> list[str]:
+    """Return names of columns as `Touches` spells those that it knows.
+
+    `label` or `class` is the object where none is called so.
+    """
+    small = [name.strip().lower() for name in names]
+    of_object = [s for s in small if s in _LABELS and "object" not in small]
+    spelt = {n: n for n in _NAMED if small.count(n) == 1}
+    spelt |= dict.fromkeys(of_object[:1], "object")
+    return [spelt.get(s, name) for s, name in zip(small, names, strict=True)]
+
+
+def _refuse_texts_of_taxels(table: Mapping[str, Array], named: set[str]) -> None:
+    """Refuse text in a column that is numbered as columns of numbers are."""
+    taxels = {_stem(n): n for n in table if n not in named and _stem(n) != n}
+    for name, column in table.items():
+        is_text = column.dtype.kind == "U" and name not in _NAMED
+        if is_text and _stem(name) != name and _stem(name) in taxels:
+            raise TouchesError(
+                f"Column {name} must hold numbers as {taxels[_stem(name)]} does, got "
+                f"{str(column[0])!r}. Correct it; where a taxel is dead leave it empty."
+            )
+
+
+def _refuse_another_order(
+    names: Sequence[str], has_places: bool, channels: Sequence[str]
+) -> None:
+    """Refuse taxels whose names say that they lie in another order."""
+    by_number = sorted(names, key=_natural)
+    if (has_places or channels) and by_number != [*names] == sorted(names):
+        raise TouchesError(
+            "Columns of taxels must stand row by row, got "
+            f"{', '.join(names[:4])}..., sorted as text is. Sort them by their numbers."
+        )
+    ends = [next((c for c in channels if _ends(n, c)), None) for n in names]
+    wanted = [channels[n % len(channels)] for n in range(len(names)) if channels]
+    if set(ends) == set(channels) and ends != wanted:
+        first = next(n for n, end in enumerate(ends) if end != wanted[n])
+        raise TouchesError(
+            f"Columns of taxels must hold {', '.join(channels)} of each taxel, one "
+            f"after the other, got {names[first]} for {wanted[first]}. Sort them so, "
+            "or name `channels` in their order."
+        )
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    parts = re.split(r"(\d+)", name)
+    return [(int(p) if n % 2 else 0, "" if n % 2 else p) for n, p in enumerate(parts)]
+
+
+def _ends(name: str, channel: str) -> bool:
+    return name.rstrip("0123456789_-. ").lower().endswith(channel.lower())
+
+
+def taxel_names(path: Path, columns: Collection[str]) -> list[str]:
+    """Return the names that a text file gives to what is none of `columns`, if any."""
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        first, comma = _first_line(file)
+    split = first.split(comma) if comma in first.strip() else first.split()
+    names = _spelt([name.strip().strip('"') for name in split])
+    kept = {*columns, *_PLACES}
+    is_count = _counts_columns(names) or not any(map(_is_name, names))
+    return [] if is_count else [name for name in names if name not in kept]
+
+
+def in_order(names: Sequence[str]) -> bool:
+    """Tell whether names differ in numbers alone, and these rise: t0, t1, t2..."""
+    kinds = {re.sub(r"\d+", "0", name) for name in names}
+    return len(kinds) < 2 and [*names] == sorted(names, key=_natural)
+
+
 def csv_arrays(
     path: Path,
     shape: tuple[int, int] | None,
@@ -120,7 +204,7 @@ def csv_arrays(
 ) -> Arrays:
     """Return what `Touches` is made of, one touch a line; the first may be names."""
     lines = _lines(path, max_bytes)
-    first = lines[0]
+    first = [lines[0][0].lstrip("# "), *lines[0][1:]]  # numpy writes names so
     named = any(map(_is_name, first)) or _counts_columns(first)
     of_digits = all(map(_OF_DIGITS.fullmatch, first))
     if named and of_digits and re.search("[,;]", "".join(first)):
@@ -128,7 +212,14 @@ def csv_arrays(
             f"{path} must hold numbers with a decimal point, got {first[0]!r}. Export "
             "it again, or read it by pandas.read_csv and `Touches.from_frame`."
         )
-    names = first if named else [f"taxel {n}" for n in range(len(first))]
+    values = [float(cell) for cell in first if named and cell and not _is_name(cell)]
+    if not all(low < high for low, high in pairwise(values)):
+        raise TouchesError(
+            f"{path} must begin with a line of names, or hold numbers alone, got "
+            f"{', '.join(first[:5])}... Add a line of names before it, one of them "
+            "object."
+        )
+    names = _spelt(first) if named else [f"taxel {n}" for n in range(len(first))]
     column = [] if named else [row[0] for row in lines]
     if all(map(_is_number, column)) and _is_clock(_numbers(column, "", 1)):
         names[0] = "time_s"
@@ -186,6 +277,12 @@ def load_levels(path: Path, max_bytes: int) -> Array:
         lines = [*enumerate(_lines(path, max_bytes), 1)]
         if _counts_columns(first := lines[0][1]) and len(lines) > 1:
             lines = [(n, row[first[0] == "" :]) for n, row in lines[1:]]
+        if all(map(_is_name, lines[0][1])):
+            raise TouchesError(
+                f"{path} must hold rows of taxels alone, for each file of a folder is "
+                f"one touch, got names ({', '.join(lines[0][1][:3])}...). Take this "
+                "line out, or give a file of many touches or frames by itself."
+            )
         return np.stack([_numbers(row, f"{path}, line {n}", 1) for n, row in lines])
     try:
         with path.open("rb") as file:
@@ -215,6 +312,13 @@ def folder_levels(paths: Sequence[Path], max_bytes: int) -> Array:
                 f"{image.shape} {image.dtype}. Convert it, or move it elsewhere."
             )
         images.append(image)
+    is_text = paths[0].suffix.lower() == ".csv" and first.shape[1] > 2
+    if is_text and all(_is_clock(image[:, 0]) for image in images):
+        raise TouchesError(
+            f"{paths[0]} and others must hold rows of taxels alone, got a first "
+            "column that rises evenly, as a clock does. Take it out; of the frames of "
+            "a touch keep one."
+        )
     return np.stack(images)
 
 
@@ -225,6 +329,7 @@ def label_columns(path: Path, names: Sequence[str], max_bytes: int) -> Arrays:
     holds the name of the picture, with its folders if it lies in some.
     """
     header, *rows = _lines(path, max_bytes)
+    header = _spelt(header)
     place = next((i for i, n in enumerate(header) if n.lower() in _FILE_NAMES), None)
     if place is None or len(set(header)) < len(header) or not all(header):
         raise TouchesError(
@@ -245,11 +350,9 @@ def label_columns(path: Path, names: Sequence[str], max_bytes: int) -> Arrays:
         cells = [by_name[picture][number] for picture in names]
         if number == place or not any(cells):
             continue
-        is_label = name in _LABELS and "object" not in {*header, *columns}
-        column = "object" if is_label else name
-        number_like = column not in _TEXTS and all(map(_is_number, cells))
+        number_like = name not in _TEXTS and all(map(_is_number, cells))
         what = f"{path}, {name}"
-        columns[column] = _numbers(cells, what, 2) if number_like else np.array(cells)
+        columns[name] = _numbers(cells, what, 2) if number_like else np.array(cells)
     return columns
 
 
@@ -259,8 +362,7 @@ def _lines(path: Path, max_bytes: int) -> list[list[str]]:
         if path.stat().st_size > max_bytes // 8 * _BYTES_PER_CELL:
             raise ValueError(f"a file of {path.stat().st_size} bytes")
         with path.open(newline="", encoding="utf-8-sig") as file:
-            first = next((line for line in file if line.strip()), "")
-            comma = max(",;\t", key=first.count)
+            first, comma = _first_line(file)
             file.seek(0)
             if comma in first.strip():
                 read = csv.reader(file, delimiter=comma, strict=True)
@@ -278,9 +380,16 @@ def _lines(path: Path, max_bytes: int) -> list[list[str]]:
         if len(row) != len(lines[0][1]):
             raise TouchesError(
                 f"{path}, line {number} must have {len(lines[0][1])} cells like the "
-                f"first, got {len(row)}. The file may be cut short."
+                f"first, got {len(row)}. The file may be cut short, or have lines "
+                "before its table: take these out."
             )
     return [row for _, row in lines]
+
+
+def _first_line(file: TextIO) -> tuple[str, str]:
+    """Return the first line that holds cells, and what lies between them."""
+    first = next((line for line in file if line.partition("#")[0].strip()), "")
+    return first, max(",;\t", key=first.count)
 
 
 def _is_name(cell: str) -> bool:

@@ -33,7 +33,7 @@ from ._columns import (
 from ._containers import CONTAINERS, RAW, container_arrays, raw_arrays
 from ._folder import folder_arrays, no_contact_picture, shows_colour
 from ._parquet import is_parquet, parquet_parts
-from ._tables import TABLES, TEXTS, csv_arrays, load_levels, table_arrays
+from ._tables import CLOCK, TABLES, TEXTS, csv_arrays, load_levels, table_arrays
 
 MAX_PIXELS = 50_000_000  # of one picture: any camera's
 MAX_BYTES = 4 * 2**30  # of all images, 4 GiB: what a laptop holds
@@ -358,8 +358,11 @@ class Touches(Labelled):
 
         Columns that `Touches` knows by name, or that hold text, are columns; all other
         numbers are taxels, in their order, `shape` (n_rows, n_cols) of them or else
-        `TouchesError`. Text that lacks is empty. Names of columns must differ.
+        `TouchesError`. Text that lacks is empty. Names of columns must differ. Levels
+        of the index that `Touches` knows by name are columns too.
         """
+        levels = [n for n in frame.index.names if n in COLUMNS and n not in frame]
+        frame = frame.reset_index(level=levels) if levels else frame
         counts = Counter(str(name) for name in frame.columns)
         if twice := [name for name, count in counts.items() if count > 1]:
             raise TouchesError(
@@ -450,9 +453,9 @@ class Touches(Labelled):
 
     @property
     def unknown_names(self) -> list[str]:
-        """Names of columns of numbers that are none of those palpate knows."""
-        kinds = {name: column.dtype.kind for name, column in self._columns.items()}
-        return [n for n in kinds if kinds[n] in "iuf" and n not in COLUMNS]
+        """Names of columns of numbers that are no clocks, nor known to palpate."""
+        numbers = [n for n, c in self._columns.items() if c.dtype.kind in "iuf"]
+        return [n for n in numbers if n not in COLUMNS and not CLOCK.fullmatch(n)]
 
     def hides_colour(self) -> bool:
         """Tell whether the first picture shows colour, and was read in grey."""
