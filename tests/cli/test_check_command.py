@@ -363,6 +363,8 @@ def test_many_pictures_wrong_in_one_way_are_one_row(palpate, tmp_path):
     [
         ("train/mug test/mug", r"test and train, .* `levels=-/object`"),
         ("train val", r"train and val, which are parts of a set"),
+        ("2024-05-01 2024-05-02", r"05-02, named as sessions .* `levels=object`"),
+        ("day1/run_1 day2/run_1", r"got day1, day2, named as .* `levels=object`"),
         ("mug/gel mug/video pen/gel pen/video", r"`levels=object/=gel`"),
         (
             "mug/run_1/gel mug/run_1/cam pen/run_2/gel pen/run_2/cam",
@@ -377,6 +379,34 @@ def test_ambiguous_layouts_are_refused_with_levels_to_give(
     with pytest.raises(TouchesError, match=message):
         Touches.load(root)
     assert (" --levels " in palpate.refusal("check", root)) == ("levels" in message)
+
+
+def test_days_may_be_objects_where_that_is_said(tmp_path):
+    root = put_each(tmp_path, 2, ["monday", "tuesday"])
+    assert (
+        Touches.load(root, levels="object").object.tolist()
+        == ["monday"] * 2 + ["tuesday"] * 2
+    )
+
+
+def test_pictures_that_are_not_read_or_no_touches_are_named(palpate, tmp_path):
+    """Of an object whose pictures are BMP nothing was learnt, and learn was silent."""
+    root = put_each(tmp_path / "set", 6)
+    put_each(root, 3, ["cup"], ending="bmp")
+    model = ("-o", tmp_path / "m.palpate")
+    left = "ictures left alone: 3 of .bmp; save them as PNG"
+    assert left in " ".join(palpate("learn", root, *model).stdout.split())
+    words = ("evaluate", "--train", root, "--split", "last")
+    assert left in palpate.answer(*words)["recommendations"][0]
+    shutil.rmtree(root / "cup")
+    assert not palpate.answer("check", root)["notes"]
+    for name in ("mug", "pen"):
+        put(root / name / "background.png")
+    ways = "ictures of each object are named in 2 ways (#, background), and all count"
+    assert ways in palpate.answer("check", root)["notes"][-1]
+    assert ways in " ".join(palpate("learn", root, *model).stdout.split())
+    (root / "pen" / "background.png").unlink()
+    assert not palpate.answer("check", root)["notes"]
 
 
 def test_levels_are_skipped_and_chosen(tmp_path):

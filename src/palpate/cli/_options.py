@@ -9,6 +9,7 @@ import os
 import re
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from copy import copy
@@ -52,6 +53,8 @@ _FOR: dict[str, tuple[tuple[str, ...], str]] = {
 _TYPED = ("COMMANDLINE", "ENVIRONMENT")
 MOST_SEED = 2**32 - 1
 CONNECT_S = 20.0
+# Pictures in files that are not read beside JPEG and PNG.
+STILLS = (".bmp", ".webp", ".tif", ".tiff", ".gif", ".heic", ".avif")
 MEGAPIXELS = 50  # of the largest picture that is read unless told
 
 
@@ -634,16 +637,51 @@ class Reading:
         """
         from ..touches import Touches
 
-        kind = kind_of(path)
+        kind, notes = kind_of(path), []
         if not isinstance(touches, Touches):
             return ""
         if self.colour is None and kind == "folder" and touches.hides_colour():
-            return (
+            notes.append(
                 "pictures in colour were read in grey: --colour, if colour tells, as "
                 "behind a gel"
             )
-        is_text = kind == "file" and path.suffix.lower() in (".csv", ".tsv", ".txt")
-        return _read_as_taxels(path, touches) if is_text else ""
+        if kind == "folder":
+            notes += [_stills_left(path, touches), self.named_in_ways(path, touches)]
+        if kind == "file" and path.suffix.lower() in (".csv", ".tsv", ".txt"):
+            notes.append(_read_as_taxels(path, touches))
+        return "; ".join(filter(None, notes))
+
+    def named_in_ways(self, path: Path, touches: "Touches") -> str:
+        """Return that pictures of each object are named in the same several ways."""
+        labels, names = touches.object, touches.columns.get("source_path")
+        is_said = self.name_pattern is not None or (path / "labels.csv").is_file()
+        if kind_of(path) != "folder" or is_said or labels is None or names is None:
+            return ""
+        stems = [re.sub(r"\d+", "#", Path(name).stem) for name in names.tolist()]
+        ways: dict[str, Counter[str]] = {}
+        for label, stem in zip(labels.tolist(), stems, strict=True):
+            ways.setdefault(label, Counter())[stem] += 1
+        kinds = {way for of_object in ways.values() for way in of_object}
+        of_all = all(way.keys() == kinds for way in ways.values()) and len(ways) > 1
+        if not of_all or 2 * len(kinds) > min(way.total() for way in ways.values()):
+            return ""
+        return (
+            f"pictures of each object are named in {len(kinds)} ways "
+            f"({', '.join(sorted(kinds)[:5])}), and all count as touches: take out "
+            "those of another camera, and those of no touch"
+        ) * (len(kinds) > 1)
+
+
+def _stills_left(path: Path, touches: "Touches") -> str:
+    """Return how many pictures are not read beside those of other endings."""
+    names = touches.columns.get("source_path")
+    read = set() if names is None else {Path(n).suffix.lower() for n in names.tolist()}
+    parts = [file.relative_to(path).parts for file in path.rglob("*")]
+    shown = [part[-1] for part in parts if not any(p.startswith(".") for p in part)]
+    kinds = Counter(Path(name).suffix.lower() for name in shown)
+    left = {kind: kinds[kind] for kind in STILLS if kinds[kind] and kind not in read}
+    few = " and ".join(f"{count} of {kind}" for kind, count in left.items())
+    return f"pictures left alone: {few}; save them as PNG" if read and left else ""
 
 
 def _read_as_taxels(path: Path, touches: "Touches") -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ._options import AsJson, Page, Reading, TouchesPath, grouped, kind_of
+from ._options import STILLS, AsJson, Page, Reading, TouchesPath, grouped, kind_of
 from ._output import answer, as_typed, counted, stages
 
 if TYPE_CHECKING:
@@ -35,8 +35,6 @@ _ODD = {
     "flat": ("flat", "flat, of one level all over, to be recorded again or left out"),
     "copies": ("a copy", "there twice"),
 }
-# Pictures in files that are not read beside JPEG and PNG.
-STILLS = (".bmp", ".webp", ".tif", ".tiff", ".gif", ".heic", ".avif")
 
 
 @grouped
@@ -77,6 +75,8 @@ def check(
         and (left := reading.left_aside(touches, read))
     ):
         notes.append(left)
+    if read and pictures and (ways := reading.named_in_ways(touches, read)):
+        notes.append(ways)
     checked: dict[str, Any] = {
         "touches": str(touches),
         "problem": problem,

@@ -1,9 +1,10 @@
 """What names of files and folders mean: a pattern, named levels, or found out.
 
-Unnamed levels are read as `object`, or as `category/object`. Three layouts that people
-have would make wrong objects of that, in silence: the parts of a set (`train/mug`), a
-recording below each object (`mug/dataset_0/frames`), and two cameras side by side
-(`mug/gel`, `mug/video`). The second is recognised; of the others the error asks which.
+Unnamed levels are read as `object`, or as `category/object`. Four layouts that people
+have would make wrong objects of that, in silence: the parts of a set (`train/mug`),
+days alone (`2024-05-01/mug_1.png`), a recording below each object
+(`mug/dataset_0/frames`), and two cameras side by side (`mug/gel`, `mug/video`). The
+third is recognised; of the others the error asks which.
 
 A pattern such as `(a+)+b` takes twice as long for each further letter of a name, and
 nothing in Python ends it: names are matched in another process, which is.
@@ -19,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._checks import listed
 from .._types import Array
 from ._columns import WHOLE, Arrays, TouchesError
 from ._tables import label_columns
@@ -259,6 +261,7 @@ def labels_of_folders(names: Sequence[str]) -> Arrays:
         folders, sessions = _without_sessions(folders)
         if sessions:
             columns["session"] = np.array(sessions)
+        _refuse_sessions(folders)
         _refuse_sensors(folders)
     columns["object"] = np.array(["/".join(parts) for parts in folders])
     if len(folders[0]) > 1:
@@ -287,6 +290,18 @@ def _without_sessions(folders: list[list[str]]) -> tuple[list[list[str]], list[s
                 rest = [p[:-1] if level else p[1:] for p in folders]
                 return rest, names
     return folders, []
+
+
+def _refuse_sessions(folders: list[list[str]]) -> None:
+    """Ask for the objects, where the only folders are named as sessions are."""
+    names = sorted({"/".join(parts) for parts in folders})
+    if all(map(_SESSION.fullmatch, names)):
+        raise TouchesError(
+            f"Folders must name objects, got {listed(names, 2)}, named as sessions "
+            "are. If names of files tell the object, say how: "
+            "`name_pattern='(?P<session>[^/]+)/(?P<object>[a-z]+)'`; if these are "
+            "objects, say so: `levels=object`."
+        )
 
 
 def _refuse_sensors(folders: list[list[str]]) -> None:
