@@ -308,6 +308,28 @@ def test_frames_of_one_touch_that_count_as_touches_are_told(palpate, tmp_path, r
         )
 
 
+def test_copies_and_taxels_that_never_change_are_named(palpate, tmp_path, rng):
+    """A dead taxel that writes 65535 was learnt as if it were pressed hard."""
+    images = rng.integers(0, 4096, (12, 8, 8)).astype(np.uint16)
+    labels, path = ["mug", "pen"] * 6, tmp_path / "t.npz"
+    Touches(images, object=labels).save(path)
+    assert not palpate.answer("check", path)["notes"]
+    images[7] = images[3]
+    images[:2] = 9  # touches of one level are no copies
+    Touches(images, object=labels).save(path)
+    assert palpate.answer("check", path)["notes"] == ["1 touch there twice: 7 as 3"]
+    images[:, 3, 4] = 65535
+    images[:, 5, 5] = 2000  # others read that too: it may rest there
+    Touches(images[2:], object=labels[2:]).save(path)
+    stuck, _ = palpate.answer("check", path)["notes"]
+    assert stuck.startswith(
+        "1 taxel of one reading in all touches, beyond those of all"
+    )
+    assert "(row 3, column 4 reads 65535): where it is dead, write NaN" in stuck
+    printed = palpate("learn", path, "-o", tmp_path / "m.palpate").stdout
+    assert stuck[1:] in " ".join(printed.split())
+
+
 def test_columns_of_a_file_without_labels_are_named(palpate, tmp_path, rng):
     Touches(rng.random((6, 8, 8)), label=["mug", "pen"] * 3).save(tmp_path / "t.npz")
     (line,) = palpate.answer("check", tmp_path / "t.npz")["advice"]

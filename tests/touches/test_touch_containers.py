@@ -630,6 +630,20 @@ def test_bytes_that_are_no_text_and_wrong_options_are_refused(csv, tmp_path):
         Touches.load(csv("1,2\nx,3\n", "in/cup/1.csv").parents[1])
 
 
+def test_what_is_missing_to_be_images_is_named(tmp_path, images):
+    h5py = pytest.importorskip("h5py")
+    np.savez(tmp_path / "v.npz", X=np.eye(4), y=OBJECTS)
+    with h5py.File(tmp_path / "v.h5", "w") as file:
+        file["X"] = np.eye(4)
+    for name in ("v.npz", "v.h5"):
+        with pytest.raises(TouchesError, match=r"For vectors, .* Touches\(X\["):
+            Touches.load(tmp_path / name)
+    with h5py.File(tmp_path / "g.h5", "w") as file:
+        file["mug/frames"] = file["pen/frames"] = images
+    with pytest.raises(TouchesError, match="Join those of all groups, and name the ob"):
+        Touches.load(tmp_path / "g.h5")
+
+
 def test_arrays_of_numpy_are_touches(tmp_path, rng):
     images = rng.normal(size=(4, 3, 2))
     np.save(tmp_path / "many.npy", images)

@@ -106,6 +106,11 @@ def test_bad_images_are_refused(images, message):
         Touches(images)
 
 
+def test_touches_along_the_last_axis_are_told():
+    with pytest.raises(TouchesError, match=r"np\.moveaxis\(images, -1, 0\)"):
+        Touches(np.zeros((8, 6, 3)), object=["mug", "pen", "cup"])
+
+
 def test_frames_of_presses_are_no_channels():
     with pytest.raises(TouchesError, match="give one of each press, and all as `press"):
         Touches(np.zeros((2, 20, 8, 6)))

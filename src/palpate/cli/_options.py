@@ -28,7 +28,7 @@ import typer
 
 from .. import _durable
 from .._extras import install, needed
-from ._output import WrongUse, say
+from ._output import WrongUse, counted, say
 
 if TYPE_CHECKING:
     from ..recognition import ObjectRecogniser
@@ -55,6 +55,7 @@ MOST_SEED = 2**32 - 1
 CONNECT_S = 20.0
 # Pictures in files that are not read beside JPEG and PNG.
 STILLS = (".bmp", ".webp", ".tif", ".tiff", ".gif", ".heic", ".avif")
+_LEAST_STUCK = 5  # touches in which a taxel reads the same
 MEGAPIXELS = 50  # of the largest picture that is read unless told
 
 
@@ -632,8 +633,8 @@ class Reading:
     def left_aside(self, path: Path, touches: "Labelled") -> str:
         """Return what of touches may be looked at wrongly, or not, if nobody said it.
 
-        The colour of pictures, pictures that are not read or named in several ways, and
-        columns of numbers.
+        The colour of pictures, pictures that are not read or named in several ways,
+        columns of numbers, and taxels that never change.
         """
         from ..touches import Touches
 
@@ -649,6 +650,8 @@ class Reading:
             notes += [_stills_left(path, touches), self.named_in_ways(path, touches)]
         if kind == "file" and path.suffix.lower() in (".csv", ".tsv", ".txt"):
             notes.append(_read_as_taxels(path, touches))
+        if kind != "folder":
+            notes.append(_stuck_taxels(touches))
         return "; ".join(filter(None, notes))
 
     def named_in_ways(self, path: Path, touches: "Touches") -> str:
@@ -682,6 +685,26 @@ def _stills_left(path: Path, touches: "Touches") -> str:
     left = {kind: kinds[kind] for kind in STILLS if kinds[kind] and kind not in read}
     few = " and ".join(f"{count} of {kind}" for kind, count in left.items())
     return f"pictures left alone: {few}; save them as PNG" if read and left else ""
+
+
+def _stuck_taxels(touches: "Touches") -> str:
+    """Return the taxels that read one number in all touches, beyond all others'."""
+    import numpy as np
+
+    images = touches.images.reshape(len(touches), -1)
+    low, high = images.min(axis=0), images.max(axis=0)
+    still = low == high
+    if len(images) < _LEAST_STUCK or still.all() or np.isnan(low[~still]).all():
+        return ""
+    beyond = (low > np.nanmax(high[~still])) | (low < np.nanmin(low[~still]))
+    if not (stuck := np.flatnonzero(still & beyond)).size:
+        return ""
+    where = np.unravel_index(stuck[0], touches.images.shape[1:])
+    first = f"row {where[0]}, column {where[1]} reads {low[stuck[0]]:g}"
+    return (
+        f"{counted(len(stuck), 'taxel')} of one reading in all touches, beyond those "
+        f"of all others ({first}): where it is dead, write NaN"
+    )
 
 
 def _read_as_taxels(path: Path, touches: "Touches") -> str:

@@ -75,6 +75,8 @@ def check(
         and (left := reading.left_aside(touches, read))
     ):
         notes.append(left)
+    if read and pictures is None and (copies := _copies(read)):
+        notes.append(copies)
     if read and pictures and (ways := reading.named_in_ways(touches, read)):
         notes.append(ways)
     checked: dict[str, Any] = {
@@ -149,6 +151,17 @@ def _notes(pictures: "PictureCheck", odd: dict[str, list[Any]]) -> list[str]:
     if empty := pictures.empty:
         notes.append(f"{counted(len(empty), 'folder')} empty: {_first(empty)}")
     return notes
+
+
+def _copies(touches: "Touches") -> str:
+    """Say which touches are another one to the bit, but for those of one level."""
+    first: dict[bytes, int] = {}
+    pairs = []
+    for row, image in enumerate(touches.images):
+        before = first.setdefault(image.tobytes(), row)
+        if before != row and (image != image.flat[0]).any():
+            pairs.append(f"{row} as {before}")
+    return f"{counted(len(pairs))} there twice: {_first(pairs)}" if pairs else ""
 
 
 def _first(names: list[str]) -> str:

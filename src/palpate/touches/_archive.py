@@ -116,10 +116,12 @@ def _inflated(archive: zipfile.ZipFile, max_bytes: int) -> Arrays:
             arrays["object"] = arrays.pop(min(labels))
     if "images" not in arrays:
         held = ", ".join(map(str, members)) or "nothing"
+        flat = not wide and any(len(member.shape) == 2 for member in members)
+        fix = "Rename the array of images, or give another file."
         raise TouchesError(
             "this is not a touch archive: it must hold an array named images "
             f"(n_touches, n_rows, n_cols); it holds {held}. "
-            "Rename the array of images, or give another file."
+            f"{_columns.VECTORS if flat else fix}"
         )
     return {name: _array(archive, member) for name, member in arrays.items()}
 

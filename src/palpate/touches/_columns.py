@@ -23,6 +23,10 @@ FLAT = (*LABELS, "order", "session", "time_s", "sensor", "episode", "press", "fr
 COLUMNS = frozenset((*FLAT, *NUMBERS, "source_path", "press_frames"))
 WHOLE = frozenset(("no_contact", "frame_index", "geometry", *LAYOUT))
 _TAXELS_AT_ONCE = 2**22
+VECTORS = (
+    'For vectors, one a row, save Touches(X[:, np.newaxis], geometry="none", '
+    "object=names)."
+)
 SUMMARIES = ("peak", "hold", "loading")
 _HELD = 0.8
 
@@ -103,10 +107,21 @@ def sorted_out(
         if belongs_to_whole(name):
             whole[name] = frozen(_checked_whole(name, array, images))
         elif name in COLUMNS or is_column:
+            _refuse_touches_last(name, array, images)
             columns[name] = frozen(checked_column(name, array, len(images)))
         else:
             whole[name] = frozen(array)
     return columns, whole
+
+
+def _refuse_touches_last(name: str, array: Array, images: Array) -> None:
+    """Refuse labels as long as the last axis of images, and not as the first."""
+    if name in LABELS and array.shape == images.shape[-1:] != images.shape[:1]:
+        raise TouchesError(
+            f"{name} must have one row per touch, got {len(array)} for images of shape "
+            f"{images.shape}. Bring touches to the first axis: "
+            "np.moveaxis(images, -1, 0)."
+        )
 
 
 def plain_array(name: str, value: ArrayLike) -> Array:

@@ -24,6 +24,7 @@ import numpy as np
 from .._extras import needed
 from .._types import Array
 from ._columns import (
+    VECTORS,
     Arrays,
     TouchesError,
     belongs_to_whole,
@@ -134,9 +135,14 @@ def _chosen(path: Path, entries: Mapping[str, _Entry], max_bytes: int) -> Arrays
             f"{n} ({' x '.join(map(str, e.shape)) or 'one'} {e.dtype})"
             for n, e in [*entries.items()][:8]
         )
+        fix = "Rename it, or take it out."
+        if not wide and any(len(e.shape) == 2 for e in plain.values()):
+            fix = VECTORS
+        elif len({n.rpartition("/")[2] for n in named or wide}) == 1:  # one a group
+            fix = "Join those of all groups, and name the object of each touch."
         raise TouchesError(
             f"{path} must hold one array of images (n_touches, n_rows, n_cols), or "
-            f"one named images, got {listed or 'no array'}. Rename it, or take it out."
+            f"one named images, got {listed or 'no array'}. {fix}"
         )
     images = (named or wide)[0]
     n_touches = plain[images].shape[0]
