@@ -115,6 +115,19 @@ def test_columns_that_were_read_as_taxels_are_named(palpate, tmp_path, rng):
     assert not palpate.answer("check", path)["notes"]
 
 
+def test_taxels_in_another_order_than_those_learnt_are_refused(palpate, tmp_path, rng):
+    """Figures were those of guessing, and nobody said why."""
+    rows = [f"{'ab'[n % 2]},{n % 2 + rng.random()},{rng.random()}" for n in range(24)]
+    teach, ask, more = (tmp_path / name for name in ("t.csv", "a.csv", "m.csv"))
+    for path, names in ((teach, "E1,E2"), (ask, "E2,E1"), (more, "t0,t1")):
+        path.write_text("\n".join([f"object,{names}", *rows]))
+    words = ("evaluate", "--train", teach, "--test", more)
+    assert palpate.answer(*words)["n_test_touches"] == 24
+    message = f"{ask} must have its taxels in the order of {teach}, got E2 where E1 is"
+    assert message in palpate.refusal(*words[:-1], ask)
+    assert message in palpate.refusal(*words, "--unknown", ask)
+
+
 def test_a_folder_of_parquet_hides_nothing(palpate, pictures, tmp_path):
     pytest.importorskip("pyarrow")
     folder = tmp_path / "set.parquet"

@@ -18,6 +18,7 @@ from filecmp import cmp
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from itertools import chain
+from operator import ne
 from pathlib import Path
 from shlex import quote
 from shutil import copyfileobj
@@ -648,7 +649,7 @@ class Reading:
             )
         if kind == "folder":
             notes += [_stills_left(path, touches), self.named_in_ways(path, touches)]
-        if kind == "file" and path.suffix.lower() in (".csv", ".tsv", ".txt"):
+        if _is_text(path):
             notes.append(_read_as_taxels(path, touches))
         if kind != "folder":
             notes.append(_stuck_taxels(touches))
@@ -673,6 +674,25 @@ class Reading:
             f"({', '.join(sorted(kinds)[:5])}), and all count as touches: take out "
             "those of another camera, and those of no touch"
         ) * (len(kinds) > 1)
+
+
+def _is_text(path: Path) -> bool:
+    return path.suffix.lower() in (".csv", ".tsv", ".txt") and path.is_file()
+
+
+def refuse_another_order(first: Path, training: Any, other: Path, touches: Any) -> None:
+    """Refuse text files of the same taxels in two orders."""
+    from ..touches import taxel_names
+
+    if _is_text(first) and _is_text(other):
+        names = taxel_names(first, training.columns)
+        others = taxel_names(other, touches.columns)
+        if names != others and sorted(names) == sorted(others):
+            n = [*map(ne, names, others)].index(True)
+            raise ValueError(
+                f"{other} must have its taxels in the order of {first}, got "
+                f"{others[n]} where {names[n]} is. Sort its columns so."
+            )
 
 
 def _stills_left(path: Path, touches: "Touches") -> str:

@@ -90,6 +90,9 @@ def evaluate(
     with message_if_stopped(kept), stages() as stage, working.started():
         training, testing = read(train, reading.where), read(test, test_where)
         others = read(unknown, unknown_where)
+        for path, touches in ((test, testing), (unknown, others)):
+            if path is not None:
+                _options.refuse_another_order(train, training, path, touches)
         figures, trials = run(
             training, testing, split=split, unknown=others, plan=plan, progress=stage
         )
