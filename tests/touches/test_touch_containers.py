@@ -156,6 +156,23 @@ def test_every_page_of_a_tiff_is_a_touch(tmp_path, images, dtype):
         Touches.load(folder)
 
 
+@pytest.mark.parametrize("axes", ["TCYX", "CYX"])
+def test_channels_of_a_tiff_are_no_touches(tmp_path, rng, axes):
+    tifffile = pytest.importorskip("tifffile")
+    levels = rng.integers(0, 4096, (5, 3, 6, 4)[-len(axes) :], dtype=np.uint16)
+    tifffile.imwrite(tmp_path / "s.tif", levels, imagej=True, metadata={"axes": axes})
+    with pytest.raises(TouchesError, match=f"for each touch, got pages along {axes}"):
+        Touches.load(tmp_path / "s.tif")
+
+
+def test_a_text_is_no_frames_without_a_header(tmp_path, rng):
+    path = tmp_path / "t.dat"
+    np.savetxt(path, rng.random((32, 4)), fmt="%.5f")
+    assert path.stat().st_size % 16 == 0
+    with pytest.raises(TouchesError, match=r"text of numbers: .* Rename it to end in"):
+        Touches.load(path, shape=(2, 2), dtype="float32")
+
+
 @pytest.mark.parametrize("ending", ["bmp", "webp"])
 def test_bmp_and_webp_are_pictures(tmp_path, rng, ending):
     levels = rng.integers(0, 256, (6, 7), dtype=np.uint8)

@@ -29,6 +29,12 @@ VECTORS = (
 )
 SUMMARIES = ("peak", "hold", "loading")
 _HELD = 0.8
+_LACKING = (
+    "nan",
+    "NaN",
+    "NaT",
+    "<NA>",
+)  # labels that lack, made texts by numpy, pandas
 
 
 class TouchesError(ValueError):
@@ -326,6 +332,12 @@ def _checked_labels(name: str, array: Array) -> Array:
             "Label that touch or leave it out."
         )
     texts = text.tolist()
+    if lacking := [n for n, label in enumerate(texts) if label.strip() in _LACKING]:
+        raise TouchesError(
+            f"{name} must not be empty, got {texts[lacking[0]]!r} at touch "
+            f"{lacking[0]}, as programs write a label that lacks. Label that touch or "
+            "leave it out."
+        )
     spelt = {label: one_spelling(label.strip(" \u00a0")) for label in set(texts)}
     for label, spelling in spelt.items():
         if spelling is None:

@@ -111,6 +111,13 @@ def raw_arrays(
     sides = (*checked_shape(shape), *([len(channels)] if channels else []))
     n_bytes, frame = path.stat().st_size, prod(sides) * kind.itemsize
     refuse_large(str(path), n_bytes, max_bytes)
+    with path.open("rb") as file:
+        start = file.read(4096)
+    if b"\n" in start and not start.strip(b"0123456789+-.,;eE \t\r\n"):
+        raise TouchesError(
+            f"{path} must be numbers as a machine holds them, got a text of numbers: "
+            f"{start[:20].decode()!r}... Rename it to end in .txt, or .csv."
+        )
     if not frame or not n_bytes or n_bytes % frame:
         raise TouchesError(
             f"{path} must be frames of {' x '.join(map(str, sides))} {kind}, "
@@ -299,8 +306,14 @@ def _tiff(path: Path, max_bytes: int) -> Array:
         refuse_large(str(path), _n_bytes(series.shape, series.dtype), max_bytes)
         tile = _n_bytes(series.keyframe.chunks, series.dtype)
         refuse_large(f"A tile of {path}", tile, max_bytes)
-        levels: Array = series.asarray(maxworkers=1)
         axes, samples = series.axes, file.pages[0].samplesperpixel
+        pages = axes.removesuffix("S")[:-2]
+        if len(pages) > 1 or pages == "C":  # channels or depths would be touches
+            raise TouchesError(
+                f"{path} must hold a page for each touch, got pages along {axes} "
+                f"{series.shape}. Save those of one channel and depth by themselves."
+            )
+        levels: Array = series.asarray(maxworkers=1)
     if samples > 1:
         if samples != 3 or not axes.endswith("S") or levels.dtype.kind != "u":
             raise TouchesError(
