@@ -717,7 +717,8 @@ def _stuck_taxels(touches: "Touches") -> str:
     if len(images) < _LEAST_STUCK or still.all() or np.isnan(low[~still]).all():
         return ""
     beyond = (low > np.nanmax(high[~still])) | (low < np.nanmin(low[~still]))
-    if not (stuck := np.flatnonzero(still & beyond)).size:
+    stuck = np.flatnonzero(still & beyond)
+    if not 0 < len(stuck) <= low.size / 10:  # more are a rim, or a gap between pads
         return ""
     where = np.unravel_index(stuck[0], touches.images.shape[1:])
     first = f"row {where[0]}, column {where[1]} reads {low[stuck[0]]:g}"

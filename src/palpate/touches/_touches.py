@@ -356,12 +356,14 @@ class Touches(Labelled):
     def from_frame(cls, frame: Any, shape: tuple[int, int] | None = None) -> Self:
         """Return the touches of a pandas data frame, one a row.
 
-        Columns that `Touches` knows by name, or that hold text, are columns; all other
-        numbers are taxels, in their order, `shape` (n_rows, n_cols) of them or else
-        `TouchesError`. Text that lacks is empty. Names of columns must differ. Levels
-        of the index that `Touches` knows by name are columns too.
+        Columns that `Touches` knows by name (also in capitals; `label` or `class` is
+        the object where none is called so), or that hold text or times, are columns;
+        all other numbers are taxels, in their order, `shape` (n_rows, n_cols) of them
+        or else `TouchesError`. Text that lacks is empty. Names of columns must differ.
+        Levels of the index that `Touches` knows by name are columns too.
         """
-        levels = [n for n in frame.index.names if n in COLUMNS and n not in frame]
+        known = {*COLUMNS, "subject"} - {*frame.columns}
+        levels = [name for name in frame.index.names if name in known]
         frame = frame.reset_index(level=levels) if levels else frame
         counts = Counter(str(name) for name in frame.columns)
         if twice := [name for name, count in counts.items() if count > 1]:
