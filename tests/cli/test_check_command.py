@@ -330,6 +330,13 @@ def test_copies_and_taxels_that_never_change_are_named(palpate, tmp_path, rng):
     assert stuck[1:] in " ".join(printed.split())
 
 
+def test_names_that_differ_in_blanks_are_told(palpate, tmp_path, rng):
+    labels = ["mug", "mug ", "pen"] * 4
+    Touches(rng.random((12, 8, 8)), object=labels).save(tmp_path / "t.npz")
+    advice = " ".join(palpate.answer("check", tmp_path / "t.npz")["advice"])
+    assert "differ in capitals or blanks alone (mug and mug ) count as" in advice
+
+
 def test_columns_of_a_file_without_labels_are_named(palpate, tmp_path, rng):
     Touches(rng.random((6, 8, 8)), label=["mug", "pen"] * 3).save(tmp_path / "t.npz")
     (line,) = palpate.answer("check", tmp_path / "t.npz")["advice"]

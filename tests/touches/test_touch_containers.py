@@ -714,6 +714,18 @@ def test_data_frames_become_touches_and_touches_data_frames(csv):
         Touches.from_frame(frame[["object"]])
 
 
+def test_blanks_around_labels_of_others_are_none_of_them(tmp_path, images, put):
+    """Else "mug " and "mug" were two objects."""
+    labels = ["mug", "mug ", " mug", "my mug\u00a0"]
+    h5py, pandas = pytest.importorskip("h5py"), pytest.importorskip("pandas")
+    with h5py.File(tmp_path / "t.h5", "w") as file:
+        file["images"], file["label"] = images, labels
+    frame = pandas.DataFrame({"left": [1, 2, 3, 4], "object": labels})
+    folder = Touches.load(put("mug /0.png", "mug /1.png", "mug /2.png", "my mug/3.png"))
+    for touches in (Touches.load(tmp_path / "t.h5"), Touches.from_frame(frame), folder):
+        assert touches.object.tolist() == ["mug"] * 3 + ["my mug"]
+
+
 def test_what_a_data_frame_says_of_touches_is_no_taxel():
     """Its index was lost, and truth among numbers a taxel, as it is not in a CSV."""
     pandas = pytest.importorskip("pandas")

@@ -116,13 +116,6 @@ def test_frames_of_presses_are_no_channels():
         Touches(np.zeros((2, 20, 8, 6)))
 
 
-def test_blanks_around_a_label_are_none_of_it():
-    labels = ["mug", "mug ", " mug", "mug\u00a0", "my mug"]
-    touches = Touches(np.zeros((5, 2, 2)), object=labels, category=labels)
-    assert touches.object.tolist() == ["mug"] * 4 + ["my mug"]
-    assert touches.category.tolist() == touches.object.tolist()
-
-
 def test_infinity_is_found_beyond_the_first_block():
     images = np.zeros((5, 1500, 1500), dtype=np.float16)
     images[4, 3, 3] = np.inf

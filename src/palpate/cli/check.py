@@ -155,13 +155,15 @@ def _notes(pictures: "PictureCheck", odd: dict[str, list[Any]]) -> list[str]:
 
 def _copies(touches: "Touches") -> str:
     """Say which touches are another one to the bit, but for those of one level."""
+    from .._checks import listed
+
     first: dict[bytes, int] = {}
     pairs = []
     for row, image in enumerate(touches.images):
         before = first.setdefault(image.tobytes(), row)
         if before != row and (image != image.flat[0]).any():
             pairs.append(f"{row} as {before}")
-    return f"{counted(len(pairs))} there twice: {_first(pairs)}" if pairs else ""
+    return f"{counted(len(pairs))} there twice: {listed(pairs, 3)}" if pairs else ""
 
 
 def _first(names: list[str]) -> str:
@@ -213,11 +215,15 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
         advice.append(folders)
     spelt: dict[str, list[str]] = {}
     for row in objects:
-        spelt.setdefault(row["object"].casefold(), []).append(row["object"])
+        name = " ".join(row["object"].casefold().split())
+        spelt.setdefault(name, []).append(row["object"])
     if alike := [names for names in spelt.values() if len(names) > 1]:
+        same = [name for names in alike for name in names]
+        in_blanks = any(name != " ".join(name.split()) for name in same)
         pairs = ", ".join(" and ".join(names) for names in alike[:_NAMED])
+        how = "capitals or blanks" if in_blanks else "capitals"
         advice.append(
-            f"objects whose names differ in capitals alone ({pairs}) count as "
+            f"objects whose names differ in {how} alone ({pairs}) count as "
             "different ones: give them one name if they are one"
         )
     if any(row["object"] == "unknown" for row in objects):

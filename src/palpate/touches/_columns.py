@@ -313,6 +313,12 @@ def common_whole(parts: Sequence[Arrays]) -> Arrays:
     return same
 
 
+def trimmed(arrays: Arrays) -> Arrays:
+    """Return arrays of others' files with their labels without blanks around them."""
+    texts = {n: a for n, a in arrays.items() if n in LABELS and a.dtype.kind == "U"}
+    return {**arrays, **{name: np.char.strip(text) for name, text in texts.items()}}
+
+
 def _checked_labels(name: str, array: Array) -> Array:
     """Return labels as text; integers become text, nothing else does."""
     kind = array.dtype.kind
@@ -338,7 +344,7 @@ def _checked_labels(name: str, array: Array) -> Array:
             f"{lacking[0]}, as programs write a label that lacks. Label that touch or "
             "leave it out."
         )
-    spelt = {label: one_spelling(label.strip(" \u00a0")) for label in set(texts)}
+    spelt = {label: one_spelling(label) for label in set(texts)}
     for label, spelling in spelt.items():
         if spelling is None:
             raise _unprintable(name, label)

@@ -17,7 +17,7 @@ import numpy as np
 from .._checks import listed, nearest_path
 from .._types import FILMS, PICTURES, RGB, Array
 from . import _pictures
-from ._columns import Arrays, TouchesError
+from ._columns import Arrays, TouchesError, trimmed
 from ._containers import CONTAINERS
 from ._layout import (
     LABELS,
@@ -152,7 +152,7 @@ def folder_arrays(
         check = _checked(root, names, pattern, max_pixels, colour)
         names = _without_bad(root, names, check)
     try:
-        columns = labels_of(root, names, pattern, max_bytes)
+        columns = trimmed(labels_of(root, names, pattern, max_bytes))
     except TouchesError as error:
         raise TouchesError(f"{root}: {error}") from error
     paths = [root / name for name in names]

@@ -29,6 +29,7 @@ from ._columns import (
     check_layout,
     frame_summaries,
     frozen,
+    trimmed,
 )
 from ._containers import CONTAINERS, RAW, container_arrays, raw_arrays
 from ._folder import folder_arrays, no_contact_picture, shows_colour
@@ -322,7 +323,7 @@ class Touches(Labelled):
         else:
             arrays = container_arrays(place, max_bytes, max_pixels)
             named = {"channels": np.array(channels)} if channels else {}
-            touches = cls(**{**arrays, **named})
+            touches = cls(**trimmed({**arrays, **named}))
         return touches.with_no_contact(no_contact, max_pixels)
 
     @classmethod
@@ -380,7 +381,7 @@ class Touches(Labelled):
                     column = np.where(lacks, "", column)
                 column = np.asarray(column.tolist())
             table[str(name)] = column
-        return cls(**table_arrays(table, shape))
+        return cls(**trimmed(table_arrays(table, shape)))
 
     def to_frame(self) -> Any:
         """Return the columns as a pandas data frame, one row per touch.
