@@ -69,16 +69,11 @@ def check(
         alone = {} if read is None or read.object is None else named_alone(read)
     odd = _odd(pictures)
     notes = _notes(pictures, odd)
-    if (
-        read
-        and not pictures.is_of_pictures
-        and (left := reading.left_aside(touches, read))
-    ):
-        notes.append(left)
-    if read and pictures is None and (copies := _copies(read)):
-        notes.append(copies)
-    if read and pictures and (ways := reading.named_in_ways(touches, read)):
-        notes.append(ways)
+    if read and pictures.is_of_pictures:
+        notes.append(reading.named_in_ways(touches, read))
+    elif read:
+        notes += [reading.left_aside(touches, read), _copies(read)]
+    notes = [note for note in notes if note]
     checked: dict[str, Any] = {
         "touches": str(touches),
         "problem": problem,
