@@ -363,8 +363,8 @@ class Touches(Labelled):
         or else `TouchesError`. Text that lacks is empty. Names of columns must differ.
         Levels of the index that `Touches` knows by name are columns too.
         """
-        known = {*COLUMNS, "subject"} - {*frame.columns}
-        levels = [name for name in frame.index.names if name in known]
+        missing = {*COLUMNS, "subject"} - {*frame.columns}
+        levels = [name for name in frame.index.names if name in missing]
         frame = frame.reset_index(level=levels) if levels else frame
         counts = Counter(str(name) for name in frame.columns)
         if twice := [name for name, count in counts.items() if count > 1]:
