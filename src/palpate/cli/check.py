@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ._options import STILLS, AsJson, Page, Reading, TouchesPath, grouped, kind_of
+from ._notes import STILLS, left_aside, named_in_ways, read_as
+from ._options import AsJson, Page, Reading, TouchesPath, grouped, kind_of
 from ._output import answer, as_typed, counted, stages
 
 if TYPE_CHECKING:
@@ -70,16 +71,16 @@ def check(
     odd = _odd(pictures)
     notes = _notes(pictures, odd)
     if read and pictures.is_of_pictures:
-        notes.append(reading.named_in_ways(touches, read))
+        notes.append(named_in_ways(reading, touches, read))
     elif read:
-        notes += [reading.left_aside(touches, read), _copies(read)]
+        notes += [left_aside(reading, touches, read), _copies(read)]
     notes = [note for note in notes if note]
     checked: dict[str, Any] = {
         "touches": str(touches),
         "problem": problem,
         "n_touches": 0 if read is None else len(read),
         "size": None if read is None else " x ".join(map(str, read.images.shape[1:])),
-        "read_as": "" if read is None else reading.read_as(touches, read),
+        "read_as": "" if read is None else read_as(reading, touches, read),
         "bad": [{**bad._asdict(), "fix": as_typed(bad.fix)} for bad in pictures.bad],
         "odd": odd,
         "notes": notes,

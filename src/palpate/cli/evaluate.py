@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from . import _options
+from . import _notes, _options
 from ._options import option
 from ._output import answer, as_typed, message_if_stopped, stages, unless_made
 
@@ -92,12 +92,12 @@ def evaluate(
         others = read(unknown, unknown_where)
         for path, touches in ((test, testing), (unknown, others)):
             if path is not None:
-                _options.refuse_another_order(train, training, path, touches)
+                _notes.refuse_another_order(train, training, path, touches)
         figures, trials = run(
             training, testing, split=split, unknown=others, plan=plan, progress=stage
         )
         in_options(figures)
-        if left := reading.left_aside(train, training):
+        if left := _notes.left_aside(reading, train, training):
             figures["recommendations"].insert(0, f"{left[0].upper()}{left[1:]}.")
         if report is not None:
             stage(f"writing {report}")

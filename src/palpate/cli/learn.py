@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from . import _options
+from . import _notes, _options
 from ._output import answer, counted, message_if_stopped, stages, unless_made
 
 _CATEGORY = "category", "categories"
@@ -92,8 +92,8 @@ def learn(
     sentences = learnt["chosen"].get("found", ())
     if kind != "library":
         how_read = (
-            reading.read_as(touches, training),
-            reading.left_aside(touches, training),
+            _notes.read_as(reading, touches, training),
+            _notes.left_aside(reading, touches, training),
         )
         sentences = [*sentences, *filter(None, how_read)]
     if recogniser.pose_:
