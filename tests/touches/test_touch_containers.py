@@ -156,13 +156,103 @@ def test_every_page_of_a_tiff_is_a_touch(tmp_path, images, dtype):
         Touches.load(folder)
 
 
-@pytest.mark.parametrize("axes", ["TCYX", "CYX"])
-def test_channels_of_a_tiff_are_no_touches(tmp_path, rng, axes):
+def test_channels_of_a_tiff_are_no_touches(tmp_path, rng):
     tifffile = pytest.importorskip("tifffile")
-    levels = rng.integers(0, 4096, (5, 3, 6, 4)[-len(axes) :], dtype=np.uint16)
-    tifffile.imwrite(tmp_path / "s.tif", levels, imagej=True, metadata={"axes": axes})
-    with pytest.raises(TouchesError, match=f"for each touch, got pages along {axes}"):
+    levels = rng.integers(0, 4096, (5, 3, 6, 4), dtype=np.uint16)
+    tifffile.imwrite(tmp_path / "s.tif", levels, imagej=True, metadata={"axes": "TCYX"})
+    with pytest.raises(TouchesError, match="for each touch, got pages along TCYX"):
         Touches.load(tmp_path / "s.tif")
+
+
+@pytest.mark.parametrize("shape", [(5, 6, 4), (1, 5, 6, 4), (5, 1, 6, 4)])
+@pytest.mark.parametrize("how", ["imagej", "ome", ""])
+def test_pages_whose_axes_nobody_named_are_touches(tmp_path, rng, how, shape):
+    """A program that writes TIFF calls the first of three axes channels."""
+    tifffile = pytest.importorskip("tifffile")
+    levels = rng.integers(0, 4096, shape, dtype=np.uint16)
+    kind = {how: True} if how else {}
+    tifffile.imwrite(tmp_path / "s.ome.tif", levels, photometric="minisblack", **kind)
+    read = Touches.load(tmp_path / "s.ome.tif")
+    assert_array_equal(read.images, levels.reshape(5, 6, 4))
+
+
+@pytest.mark.parametrize(
+    ("first", "n_taxels"),
+    [
+        ("object,15,14,13,12,11", 5),
+        ("object,101,203,107,105,109", 5),
+        ("#0,#1,#2,#3,weight,object", 4),
+        ("#,t0,t1,t2,t3,object", 4),  # a row's number
+        ("time_0,time_1,time_2,time_3,weight,object", 4),
+        ("peak,area,time_to_peak,time constant,width,object", 5),
+        ("label,Label,t0,t1,t2,t3", 4),
+        ("Order,t0,t1,t2,t3,object", 4),
+    ],
+)
+def test_names_of_taxels_are_taken_as_they_are(tmp_path, first, n_taxels):
+    path, names = tmp_path / "t.csv", first.split(",")
+    texts = {"object": "mug", "label": "mug", "Label": "7", "Order": "last"}
+    rows = [
+        ",".join(texts.get(n, f"{k}.{i}7") for i, n in enumerate(names)) for k in "13"
+    ]
+    path.write_text("\n".join([first, *rows]))
+    touches = Touches.load(path)
+    assert touches.images.shape == (2, 1, n_taxels)
+    assert touches.object is not None
+    assert [*touches.object] == ["mug", "mug"]
+
+
+@pytest.mark.parametrize("places", ["-1,0,1,2", "0.25,0.5,0.75,1", "x-1,x0,x1,x2"])
+def test_taxels_named_by_their_places_are_in_order(tmp_path, places):
+    path = tmp_path / "t.csv"
+    path.write_text(f"object,{places}\nmug,1,2,3,4\nmug,5,6,7,8\n")
+    assert Touches.load(path, shape=(2, 2)).images[0].tolist() == [[1, 2], [3, 4]]
+
+
+def test_a_folder_of_ramps_has_no_clock(tmp_path):
+    """A tilted plane rises evenly in all columns, a clock in the first alone."""
+    for n in range(3):
+        ramp = np.arange(20).reshape(5, 4) + n
+        np.savetxt(tmp_path / f"mug_{n}.csv", ramp, delimiter=",", fmt="%d")
+    assert Touches.load(tmp_path).images.shape == (3, 5, 4)
+
+
+@pytest.mark.parametrize("levels", [[10, 10], [9, 10], [10, 50]])
+def test_frames_of_few_levels_are_no_text(tmp_path, levels):
+    frames = np.resize(np.array(levels, np.uint8), (5, 4, 4))
+    frames.tofile(tmp_path / "t.dat")
+    read = Touches.load(tmp_path / "t.dat", shape=(4, 4), dtype="uint8")
+    assert_array_equal(read.images, frames)
+
+
+@pytest.mark.parametrize("names", ["10023401,10023402-A", "20240501_mug,20240501_pen"])
+def test_part_numbers_are_no_days(tmp_path, names):
+    for name in names.split(","):
+        (tmp_path / name).mkdir()
+        levels = np.arange(64, dtype=np.uint8).reshape(8, 8)
+        Image.fromarray(levels).save(tmp_path / name / "1.png")
+    assert sorted(Touches.load(tmp_path).object) == names.split(",")
+
+
+def test_truth_is_a_taxel_where_it_is_numbered():
+    pandas = pytest.importorskip("pandas")
+    taxels = np.arange(12).reshape(3, 4) % 3 > 0
+    frame = pandas.DataFrame(taxels, columns=["t0", "t1", "t2", "t3"])
+    touches = Touches.from_frame(frame.assign(weight=[1.5, 2, 3], label=[1.0, 2, 1]))
+    assert_array_equal(touches.images[:, 0], taxels)
+    assert touches.object is not None
+    assert [*touches.object] == ["1", "2", "1"]
+
+
+@pytest.mark.parametrize("name", ["object", "category"])
+def test_a_label_that_a_program_wrote_for_none_is_refused(name):
+    pandas = pytest.importorskip("pandas")
+    about = {"object": ["mug", "pen"]} | {name: ["mug", "nan"]}
+    frame = pandas.DataFrame(np.eye(2), columns=["t0", "t1"]).assign(**about)
+    with pytest.raises(
+        TouchesError, match="not be empty, got 'nan' at touch 1, as pro"
+    ):
+        Touches.from_frame(frame)
 
 
 def test_a_text_is_no_frames_without_a_header(tmp_path, rng):

@@ -29,12 +29,7 @@ VECTORS = (
 )
 SUMMARIES = ("peak", "hold", "loading")
 _HELD = 0.8
-_LACKING = (
-    "nan",
-    "NaN",
-    "NaT",
-    "<NA>",
-)  # labels that lack, made texts by numpy, pandas
+_LACKING = ("nan", "NaN", "NaT", "<NA>")  # labels that lack, made texts by programs
 
 
 class TouchesError(ValueError):
@@ -314,9 +309,17 @@ def common_whole(parts: Sequence[Arrays]) -> Arrays:
 
 
 def trimmed(arrays: Arrays) -> Arrays:
-    """Return arrays of others' files with their labels without blanks around them."""
+    """Return arrays of others' files, labels without blanks around, none that lacks."""
     texts = {n: a for n, a in arrays.items() if n in LABELS and a.dtype.kind == "U"}
-    return {**arrays, **{name: np.char.strip(text) for name, text in texts.items()}}
+    texts = {name: np.char.strip(text) for name, text in texts.items()}
+    for name, text in texts.items():
+        if len(lacking := np.flatnonzero(np.isin(text, _LACKING))):
+            raise TouchesError(
+                f"{name} must not be empty, got {str(text[lacking[0]])!r} at touch "
+                f"{lacking[0]}, as programs write a label that lacks. Label that touch "
+                "or leave it out."
+            )
+    return {**arrays, **texts}
 
 
 def _checked_labels(name: str, array: Array) -> Array:
@@ -338,12 +341,6 @@ def _checked_labels(name: str, array: Array) -> Array:
             "Label that touch or leave it out."
         )
     texts = text.tolist()
-    if lacking := [n for n, label in enumerate(texts) if label.strip() in _LACKING]:
-        raise TouchesError(
-            f"{name} must not be empty, got {texts[lacking[0]]!r} at touch "
-            f"{lacking[0]}, as programs write a label that lacks. Label that touch or "
-            "leave it out."
-        )
     spelt = {label: one_spelling(label) for label in set(texts)}
     for label, spelling in spelt.items():
         if spelling is None:

@@ -12,6 +12,7 @@ kind; what each kind means stands with `palpate.library.read_bag`.
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -113,7 +114,8 @@ def raw_arrays(
     refuse_large(str(path), n_bytes, max_bytes)
     with path.open("rb") as file:
         start = file.read(4096)
-    if b"\n" in start and not start.strip(b"0123456789+-.,;eE \t\r\n"):
+    is_text = re.search(rb"\d[.,; \t]", start) is not None and b"\n" in start
+    if is_text and not start.strip(b"0123456789+-.,;eE \t\r\n"):
         raise TouchesError(
             f"{path} must be numbers as a machine holds them, got a text of numbers: "
             f"{start[:20].decode()!r}... Rename it to end in .txt, or .csv."
@@ -273,6 +275,7 @@ def _zarr(path: Path, max_bytes: int) -> Arrays:
         root = zarr.open(str(path), mode="r")
         single = isinstance(root, zarr.Array)
         members = {"images": root} if single else dict(root.members(max_depth=4))
+        members = dict(sorted(members.items()))  # threads read them in any order
         if len(members) > _MAX_ARRAYS:
             raise TouchesError(f"{path} must hold at most {_MAX_ARRAYS} arrays.")
         entries = {
@@ -307,8 +310,8 @@ def _tiff(path: Path, max_bytes: int) -> Array:
         tile = _n_bytes(series.keyframe.chunks, series.dtype)
         refuse_large(f"A tile of {path}", tile, max_bytes)
         axes, samples = series.axes, file.pages[0].samplesperpixel
-        pages = axes.removesuffix("S")[:-2]
-        if len(pages) > 1 or pages == "C":  # channels or depths would be touches
+        sides = series.shape[: len(axes.removesuffix("S")) - 2]
+        if np.count_nonzero(np.array(sides) > 1) > 1:  # all would be touches
             raise TouchesError(
                 f"{path} must hold a page for each touch, got pages along {axes} "
                 f"{series.shape}. Save those of one channel and depth by themselves."

@@ -58,6 +58,12 @@ _SESSION = re.compile(
     rf"({_NUMBERED})[ _-]?\d+|({_DAYS})day|\d{{4}}-?\d\d-?\d\d([ T_-].*)?",
     re.IGNORECASE,
 )
+# What no object is called: a session, day or date, perhaps with its time.
+_DAY = re.compile(
+    rf"(session|day)[ _-]?\d+|({_DAYS})day"
+    r"|(19|20)\d\d-?(0[1-9]|1[0-2])-?(0[1-9]|[12]\d|3[01])([ T_-]?\d.*)?",
+    re.IGNORECASE,
+)
 _SENSOR = re.compile(
     "gel|digit|tact|video|cam|rgb|depth|frame|image|left|right", re.IGNORECASE
 )
@@ -295,7 +301,7 @@ def _without_sessions(folders: list[list[str]]) -> tuple[list[list[str]], list[s
 def _refuse_sessions(folders: list[list[str]]) -> None:
     """Ask for the objects, where the only folders are named as sessions are."""
     names = sorted({"/".join(parts) for parts in folders})
-    if all(map(_SESSION.fullmatch, names)):
+    if all(map(_DAY.fullmatch, names)):
         raise TouchesError(
             f"Folders must name objects, got {listed(names, 2)}, named as sessions "
             "are. If names of files tell the object, say how: "

@@ -23,7 +23,7 @@ import numpy as np
 
 from .._checks import listed
 from .._types import Array
-from ._columns import COLUMNS, Arrays, TouchesError, checked_shape
+from ._columns import COLUMNS, LABELS, Arrays, TouchesError, checked_shape
 from ._containers import CONTAINERS, container_arrays
 
 TABLES = (".csv", ".npy")
@@ -31,11 +31,17 @@ TEXTS = (".txt", ".tsv")  # by themselves; in folders they are notes
 _PLACES = ("x_mm", "y_mm", "z_mm")
 _TEXTS = ("object", "category", "session", "subject")
 _NAMED = COLUMNS | {*_PLACES, "subject"}
-CLOCK = re.compile(r"(time|timestamp|stamp)([ _(\[].*)?", re.IGNORECASE)
+# Known names that are also read in capitals.
+_SPELT = (*_TEXTS, *_PLACES, "order", "force_n", "time_s")
+CLOCK = re.compile(
+    r"(time|time[ _]?stamp|stamp)([ _]?[(\[]?(s|secs?|seconds?|ms|us|ns|min)[)\]]?)?",
+    re.IGNORECASE,
+)
 _LEAST_OF_CLOCK = 5  # numbers a line, of which the first may be a time
 _LEAST_OF_COUNT = 5  # 0, 1, 2... that are names
 _FILE_NAMES = ("file", "filename", "file_name", "path", "image", "name")
 _LABELS = ("label", "class")
+_NUMBERED = re.compile(r"[^\d.+-]*\d+[^\d.+-]*")  # once, and not by -1 or 0.5
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*(,\d+)?([eE][+-]?\d+)?")
 _OF_DIGITS = re.compile(r"[-+\d.,;]*")
 _BYTES_PER_CELL = 2  # no number is shorter, with its comma
@@ -50,12 +56,13 @@ def table_arrays(
 
     Of a taxel with `channels` these follow each other.
     """
-    table = dict(zip(_spelt([*table]), table.values(), strict=True))
+    table = dict(map(_known, _spelt([*table]), table, table.values()))
     for name, column in table.items():
         is_text = column.dtype.kind == "U" and name not in _TEXTS
-        numbers = [c for c in column if is_text and c and _DECIMAL_COMMA.fullmatch(c)]
-        commas = [str(cell) for cell in numbers if "," in cell]
-        if commas and 2 * len(numbers) > np.count_nonzero(column != ""):
+        cells = [str(cell) for cell in column if is_text and cell]
+        numbers = [cell for cell in cells if _DECIMAL_COMMA.fullmatch(cell)]
+        commas = [cell for cell in numbers if "," in cell]
+        if commas and all(map(_DECIMAL_COMMA.fullmatch, cells[1:])):
             raise TouchesError(
                 f"Column {name} must hold numbers with a decimal point, got "
                 f"{commas[0]!r}. Write points (of pandas, read_csv(decimal=','))."
@@ -69,7 +76,8 @@ def table_arrays(
             )
     named = {n for n, c in table.items() if n in _NAMED or c.dtype.kind not in "biuf"}
     if any(table[n].dtype.kind != "b" for n in table.keys() - named):
-        named |= {n for n, c in table.items() if c.dtype.kind == "b"}
+        truths = {n for n, c in table.items() if c.dtype.kind == "b"}
+        named |= {name for name in truths if _stem(name) == name}
     named |= {name for name in table if CLOCK.fullmatch(name)}
     _refuse_texts_of_taxels(table, named)
     named |= _beside_numbered([name for name in table if name not in named])
@@ -125,28 +133,48 @@ def _stem(name: str) -> str:
     return name.rstrip("0123456789")
 
 
-def _spelt(names: Sequence[str]) -> list[str]:
+def _spelt(names: Sequence[str], known: Sequence[str] = _SPELT) -> list[str]:
     """Return names of columns as `Touches` spells those that it knows.
 
     `label` or `class` is the object where none is called so.
     """
     small = [name.strip().lower() for name in names]
-    of_object = [s for s in small if s in _LABELS and "object" not in small]
-    spelt = {n: n for n in _NAMED if small.count(n) == 1}
-    spelt |= dict.fromkeys(of_object[:1], "object")
-    return [spelt.get(s, name) for s, name in zip(small, names, strict=True)]
+    spelt = {name: name for name in known}
+    if "object" not in small and (labels := [s for s in small if s in _LABELS]):
+        spelt[labels[0]] = "object"
+    return [
+        spelt.get(s, name) if small.count(s) == 1 or name == s else name
+        for s, name in zip(small, names, strict=True)
+    ]
+
+
+def _known(spelt: str, name: str, column: Array) -> tuple[str, Array]:
+    """Return a column by the name that `Touches` knows, where it suits its values."""
+    if spelt == name:
+        return name, column
+    kind = column.dtype.kind
+    if spelt in LABELS and kind == "f" and (column == np.rint(column)).all():
+        return spelt, column.astype(np.int64)
+    kinds = "Uiu" if spelt in LABELS else "iuf" if spelt not in _TEXTS else "Uiuf"
+    return (spelt if kind in kinds else name), column
 
 
 def _refuse_texts_of_taxels(table: Mapping[str, Array], named: set[str]) -> None:
     """Refuse text in a column that is numbered as columns of numbers are."""
-    taxels = {_stem(n): n for n in table if n not in named and _stem(n) != n}
+    numbers: dict[str, list[int]] = {}
+    for name in table.keys() - named:
+        if end := name[len(_stem(name)) :]:
+            numbers.setdefault(_stem(name), []).append(int(end))
     for name, column in table.items():
-        is_text = column.dtype.kind == "U" and name not in _NAMED
-        if is_text and _stem(name) != name and _stem(name) in taxels:
-            raise TouchesError(
-                f"Column {name} must hold numbers as {taxels[_stem(name)]} does, got "
-                f"{str(column[0])!r}. Correct it; where a taxel is dead leave it empty."
-            )
+        stem = _stem(name)
+        if column.dtype.kind == "U" and name != stem and stem in numbers:
+            taxels, number = numbers[stem], int(name[len(stem) :])
+            if len(taxels) > 1 and min(taxels) - 1 <= number < max(taxels):
+                raise TouchesError(
+                    f"Column {name} must hold numbers as {stem}{max(taxels)} does, got "
+                    f"{str(column[0])!r}. Correct it; where a taxel is dead leave it "
+                    "empty."
+                )
 
 
 def _refuse_another_order(
@@ -154,7 +182,8 @@ def _refuse_another_order(
 ) -> None:
     """Refuse taxels whose names say that they lie in another order."""
     by_number = sorted(names, key=_natural)
-    if (has_places or channels) and by_number != [*names] == sorted(names):
+    are_numbered = all(map(_NUMBERED.fullmatch, names)) and (has_places or channels)
+    if are_numbered and by_number != [*names] == sorted(names):
         raise TouchesError(
             "Columns of taxels must stand row by row, got "
             f"{', '.join(names[:4])}..., sorted as text is. Sort them by their numbers."
@@ -204,7 +233,7 @@ def csv_arrays(
 ) -> Arrays:
     """Return what `Touches` is made of, one touch a line; the first may be names."""
     lines = _lines(path, max_bytes)
-    first = [lines[0][0].lstrip("# "), *lines[0][1:]]  # numpy writes names so
+    first = [lines[0][0].removeprefix("# "), *lines[0][1:]]  # numpy writes names so
     named = any(map(_is_name, first)) or _counts_columns(first)
     of_digits = all(map(_OF_DIGITS.fullmatch, first))
     if named and of_digits and re.search("[,;]", "".join(first)):
@@ -213,13 +242,14 @@ def csv_arrays(
             "it again, or read it by pandas.read_csv and `Touches.from_frame`."
         )
     values = [float(cell) for cell in first if named and cell and not _is_name(cell)]
-    if not all(low < high for low, high in pairwise(values)):
+    rise = all(low < high for low, high in pairwise(values))
+    if not rise and not _NAMED.intersection(_spelt(first)):
         raise TouchesError(
             f"{path} must begin with a line of names, or hold numbers alone, got "
             f"{', '.join(first[:5])}... Add a line of names before it, one of them "
             "object."
         )
-    names = _spelt(first) if named else [f"taxel {n}" for n in range(len(first))]
+    names = first if named else [f"taxel {n}" for n in range(len(first))]
     column = [] if named else [row[0] for row in lines]
     if all(map(_is_number, column)) and _is_clock(_numbers(column, "", 1)):
         names[0] = "time_s"
@@ -235,7 +265,7 @@ def csv_arrays(
     table = {}
     for name, cells in zip(names, zip(*rows, strict=True), strict=True):
         numbers = [_is_number(cell) for cell in cells if cell]
-        text = name in _TEXTS or (named and not any(numbers) and bool(numbers))
+        text = name.lower() in _TEXTS or (named and not any(numbers) and bool(numbers))
         what = f"{path}, {name}"
         table[name] = np.array(cells) if text else _numbers(cells, what, 1 + named)
     return table_arrays(table, shape, channels)
@@ -313,7 +343,8 @@ def folder_levels(paths: Sequence[Path], max_bytes: int) -> Array:
             )
         images.append(image)
     is_text = paths[0].suffix.lower() == ".csv" and first.shape[1] > 2
-    if is_text and all(_is_clock(image[:, 0]) for image in images):
+    rises = [[_is_clock(column) for column in image.T] for image in images if is_text]
+    if rises and all(first and not any(others) for first, *others in rises):
         raise TouchesError(
             f"{paths[0]} and others must hold rows of taxels alone, got a first "
             "column that rises evenly, as a clock does. Take it out; of the frames of "
@@ -329,7 +360,7 @@ def label_columns(path: Path, names: Sequence[str], max_bytes: int) -> Arrays:
     holds the name of the picture, with its folders if it lies in some.
     """
     header, *rows = _lines(path, max_bytes)
-    header = _spelt(header)
+    header = _spelt(header, _TEXTS)
     place = next((i for i, n in enumerate(header) if n.lower() in _FILE_NAMES), None)
     if place is None or len(set(header)) < len(header) or not all(header):
         raise TouchesError(

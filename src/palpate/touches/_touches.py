@@ -24,6 +24,7 @@ from . import _columns
 from ._archive import read_archive, write_archive
 from ._columns import (
     COLUMNS,
+    LABELS,
     Arrays,
     TouchesError,
     check_layout,
@@ -361,10 +362,11 @@ class Touches(Labelled):
         the object where none is called so), or that hold text or times, are columns;
         all other numbers are taxels, in their order, `shape` (n_rows, n_cols) of them
         or else `TouchesError`. Text that lacks is empty. Names of columns must differ.
-        Levels of the index that `Touches` knows by name are columns too.
+        Levels of the index called `object`, `category`, `session` or `subject` are too.
         """
-        missing = {*COLUMNS, "subject"} - {*frame.columns}
-        levels = [name for name in frame.index.names if name in missing]
+        names = [*frame.index.names, *frame.columns]
+        texts = (*LABELS, "session", "subject")
+        levels = [n for n in frame.index.names if n in texts and names.count(n) == 1]
         frame = frame.reset_index(level=levels) if levels else frame
         counts = Counter(str(name) for name in frame.columns)
         if twice := [name for name, count in counts.items() if count > 1]:
