@@ -240,6 +240,8 @@ def test_truth_is_a_taxel_where_it_is_numbered():
     frame = pandas.DataFrame(taxels, columns=["t0", "t1", "t2", "t3"])
     touches = Touches.from_frame(frame.assign(weight=[1.5, 2, 3], label=[1.0, 2, 1]))
     assert_array_equal(touches.images[:, 0], taxels)
+    lettered = frame.set_axis([*"abcd"], axis=1).assign(weight=[1.5, 2, 3])
+    assert_array_equal(Touches.from_frame(lettered).images[:, 0, :4], taxels)
     assert touches.object is not None
     assert [*touches.object] == ["1", "2", "1"]
 

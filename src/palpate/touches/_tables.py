@@ -75,8 +75,8 @@ def table_arrays(
                 "Correct it; where a taxel is dead leave it empty."
             )
     named = {n for n, c in table.items() if n in _NAMED or c.dtype.kind not in "biuf"}
-    if any(table[n].dtype.kind != "b" for n in table.keys() - named):
-        truths = {n for n, c in table.items() if c.dtype.kind == "b"}
+    truths = {n for n, c in table.items() if c.dtype.kind == "b"}
+    if 2 * len(truths) < len(table.keys() - named):
         named |= {name for name in truths if _stem(name) == name}
     named |= {name for name in table if CLOCK.fullmatch(name)}
     _refuse_texts_of_taxels(table, named)
