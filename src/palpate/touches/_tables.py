@@ -56,7 +56,7 @@ def table_arrays(
 
     Of a taxel with `channels` these follow each other.
     """
-    table = dict(map(_known, _spelt([*table]), table, table.values()))
+    table = dict(map(_renamed, _spelt([*table]), table, table.values()))
     for name, column in table.items():
         is_text = column.dtype.kind == "U" and name not in _TEXTS
         cells = [str(cell) for cell in column if is_text and cell]
@@ -133,13 +133,13 @@ def _stem(name: str) -> str:
     return name.rstrip("0123456789")
 
 
-def _spelt(names: Sequence[str], known: Sequence[str] = _SPELT) -> list[str]:
+def _spelt(names: Sequence[str], targets: Sequence[str] = _SPELT) -> list[str]:
     """Return names of columns as `Touches` spells those that it knows.
 
     `label` or `class` is the object where none is called so.
     """
     small = [name.strip().lower() for name in names]
-    spelt = {name: name for name in known}
+    spelt = {name: name for name in targets}
     if "object" not in small and (labels := [s for s in small if s in _LABELS]):
         spelt[labels[0]] = "object"
     return [
@@ -148,7 +148,7 @@ def _spelt(names: Sequence[str], known: Sequence[str] = _SPELT) -> list[str]:
     ]
 
 
-def _known(spelt: str, name: str, column: Array) -> tuple[str, Array]:
+def _renamed(spelt: str, name: str, column: Array) -> tuple[str, Array]:
     """Return a column by the name that `Touches` knows, where it suits its values."""
     if spelt == name:
         return name, column
