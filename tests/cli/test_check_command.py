@@ -328,6 +328,11 @@ def test_copies_and_taxels_that_never_change_are_named(palpate, tmp_path, rng):
     assert "(row 3, column 4 reads 65535): where it is dead, write NaN" in stuck
     printed = palpate("learn", path, "-o", tmp_path / "m.palpate").stdout
     assert stuck[1:] in " ".join(printed.split())
+    # A camera's picture has a dark frame, which is no dead taxel.
+    camera = rng.integers(60, 200, (12, 120, 160)).astype(np.uint8)
+    camera[:, :3] = 0
+    Touches(camera, object=labels, geometry="plane").save(path)
+    assert not palpate.answer("check", path)["notes"]
 
 
 def test_names_that_differ_in_blanks_are_told(palpate, tmp_path, rng):

@@ -202,6 +202,14 @@ def test_names_of_taxels_are_taken_as_they_are(tmp_path, first, n_taxels):
     assert [*touches.object] == ["mug", "mug"]
 
 
+def test_a_label_that_lacks_in_a_line_is_about_something_else(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("label,t0,t1\nworn,1,2\n,3,4\n")
+    touches = Touches.load(path)
+    assert touches.object is None
+    assert touches.columns["label"].tolist() == ["worn", ""]
+
+
 @pytest.mark.parametrize("places", ["-1,0,1,2", "0.25,0.5,0.75,1", "x-1,x0,x1,x2"])
 def test_taxels_named_by_their_places_are_in_order(tmp_path, places):
     path = tmp_path / "t.csv"

@@ -153,6 +153,8 @@ def _renamed(spelt: str, name: str, column: Array) -> tuple[str, Array]:
     if spelt == name:
         return name, column
     kind = column.dtype.kind
+    if name.strip().lower() in _LABELS and kind == "U" and (column == "").any():
+        return name, column  # it may be about something else
     if spelt in LABELS and kind == "f" and (column == np.rint(column)).all():
         return spelt, column.astype(np.int64)
     kinds = "Uiu" if spelt in LABELS else "iuf" if spelt not in _TEXTS else "Uiuf"
