@@ -122,6 +122,21 @@ def test_the_history_is_listed_and_a_backup_is_made(palpate, folder, tmp_path):
     assert "new or empty folder" in again
 
 
+def test_touches_that_are_added_without_an_object_are_told(palpate, tmp_path):
+    path, lab = tmp_path / "t.csv", tmp_path / "lab"
+    path.write_text("thing,t0,t1,t2,t3\nmug,1,2,3,4\npen,4,3,2,1\n")
+    result = palpate("library", "add", lab, path)
+    assert (result.returncode, result.stdout[:14]) == (0, "2 new of 2 tou")
+    told = " ".join(result.stderr.split())
+    assert "2 touches of" in told
+    assert "call the column of names object (it has thing)" in told
+    where = ("--where", "object is null", "--reason", "no names")
+    palpate.printed("library", "retract", lab, *where)
+    path.write_text(path.read_text().replace("thing", "object"))
+    assert palpate("library", "add", lab, path).stderr == ""
+    assert palpate.answer("library", "stats", lab)["n_objects"] == 2
+
+
 def test_parquet_goes_out_and_comes_in_again(palpate, folder, tmp_path):
     out = tmp_path / "some.parquet"
     palpate.printed("library", "export", folder, "-o", out, "--by", "object")

@@ -19,6 +19,8 @@ def clear(page):
     if page.input_value("#placed") == "":
         return  # and it has
     page.select_option("#placed", "")
+    # The page asks before it teaches a name while another thing lies there.
+    expect(page.locator("#placed")).to_have_attribute("data-placed", "")
     count = -1
     while count != (count := page.locator("#strip li").count()):
         time.sleep(0.4)

@@ -1,5 +1,6 @@
 """`palpate library`: touches on disk, durable and searchable."""
 
+import sys
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -21,7 +22,7 @@ from ._options import (
     typed,
     written_file,
 )
-from ._output import answer, as_typed, counted
+from ._output import answer, as_typed, counted, say
 
 if TYPE_CHECKING:
     from ..library import TouchLibrary, TouchRow
@@ -107,7 +108,8 @@ def add(
             f"All of {touches} is added."
         )
     described = SensorDescription(sensor, kind, unit, pitch_mm) if sensor else None
-    n_given = n_new = 0
+    n_given = n_new = n_unlabelled = 0
+    texts: list[str] = []
     begin = reading.begin
     detect = detect and kind_of(touches, topic) != "film"
     if detect:  # where touches begin is told here, from all frames together
@@ -128,14 +130,31 @@ def add(
                 part = part.with_columns(object=[object_name] * len(part))
             ids = opened.add(part, session=session, episode=episode, sensor=described)
             n_given += len(part)
+            if part.object is None:
+                n_unlabelled += len(part)
+                texts = [n for n, c in part.columns.items() if c.dtype.kind == "U"]
             later = opened.list(None, None, n_there, retracted=True)
             n_new += len({row.id for row in later} & {*ids})  # others may add meanwhile
             n_there += len(later)
         n_touches = opened.stats().n_touches
+    if n_unlabelled:
+        _say_unlabelled(touches, folder, n_unlabelled, texts)
     answer(
         as_json,
         {"library": str(folder), "given": n_given, "added": n_new},
         f"{n_new} new of {counted(n_given)}; {n_touches} in {folder}.",
+    )
+
+
+def _say_unlabelled(path: Path, folder: Path, n_touches: int, texts: list[str]) -> None:
+    """Say that touches were added without an object, and which columns hold text."""
+    has = f" (it has {', '.join(texts[:5])})" if texts else ""
+    say(
+        f"{counted(n_touches)} of {path} have no object: give --object NAME, or call "
+        f"the column of names object{has}. To take out those that are in the library "
+        f"now: `palpate library retract {folder} --where 'object is null' --reason "
+        "WHY`.",
+        file=sys.stderr,
     )
 
 
