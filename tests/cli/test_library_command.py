@@ -374,3 +374,20 @@ def test_presses_that_run_into_one_are_told(palpate, tmp_path):
     assert "1 new of 1" in run.stdout
     assert "2 would at" in run.stderr
     assert "See --begin" in run.stderr
+
+
+def test_a_stream_that_begins_with_a_press_is_refused_and_leaves_no_library(
+    palpate, tmp_path
+):
+    levels = np.repeat([0, 90, 0], [4, 12, 8])
+    frames = np.broadcast_to(levels[:, None, None], (24, 4, 4)).astype(np.uint8)
+    Touches(frames).save(tmp_path / "frames.npz")
+    add = ("library", "add", tmp_path / "lab", tmp_path / "frames.npz", "--detect")
+    refused = palpate.refusal(*add)
+    assert "The first 10 frames must touch nothing" in refused
+    assert "or give --no-contact" in refused
+    assert not (tmp_path / "lab").exists()
+    rest = Image.fromarray(frames[0])
+    rest.save(tmp_path / "rest.png")
+    given = palpate.printed(*add, "--no-contact", tmp_path / "rest.png")
+    assert "1 new of 1" in given

@@ -131,7 +131,7 @@ def test_infinity_is_found_beyond_the_first_block():
         ({"force_n": 1.0}, "force_n must have one row per touch, got a single value"),
         ({"object": ["a", ""]}, "empty label at touch 1"),
         ({"object": [" ", "b"]}, "empty label at touch 0"),
-        ({"category": ["a", ""]}, "category must not be empty"),
+        ({"category": ["a", ""]}, "Column category must not be empty"),
         ({"object": [1.0, np.nan]}, "got an array of float64, NaN at touch 1. Fill in"),
         ({"object": ["a", np.nan]}, "object must be .* got NaN among texts at 1"),
         ({"category": (float("nan"), "a")}, "category must be .*NaN among texts at 0"),

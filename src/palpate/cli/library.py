@@ -48,9 +48,9 @@ def add(
     session: Annotated[str | None, option("Name of the recording session.")] = None,
     episode: Annotated[str | None, option("Name of the episode.")] = None,
     sensor: Annotated[str | None, option("Name of the sensor.")] = None,
-    kind: Annotated[str | None, option("Kind of sensor: camera, array...")] = None,
-    unit: Annotated[str | None, option("Unit of the images, such as kPa.")] = None,
-    pitch_mm: Annotated[float | None, option("Distance of taxels in mm.")] = None,
+    kind: Annotated[str | None, option("Of --sensor: camera, array...")] = None,
+    unit: Annotated[str | None, option("Of --sensor: its unit, as kPa.")] = None,
+    pitch_mm: Annotated[float | None, option("Of --sensor: taxels' distance.")] = None,
     topic: Annotated[
         str | None,
         option("Of a bag: the topic to read; of a LeRobotDataset: the feature."),
@@ -112,20 +112,18 @@ def add(
     texts: list[str] = []
     begin = reading.begin
     detect = detect and kind_of(touches, topic) != "film"
-    if detect:  # where touches begin is told here, from all frames together
-        reading = replace(reading, begin=None)
-        parts = iter([reading.touches(touches, topic)])
+    if detect:  # from all frames together, before a library is made
+        from ..sensors import TouchDetector
+
+        detector = TouchDetector(begin=begin)
+        frames = replace(reading, begin=None).touches(touches, topic)
+        parts = iter([detector.touches_in(frames)])
+        say_limit(touches, detector)
     else:
-        parts = reading.parts(touches, topic)  # before a library is made
+        parts = reading.parts(touches, topic)
     with _opened(folder, create=True) as opened:
         n_there = sum(opened.stats()[:2])
         for part in parts:
-            if detect:
-                from ..sensors import TouchDetector
-
-                detector = TouchDetector(begin=begin)
-                part = detector.touches_in(part)
-                say_limit(touches, detector)
             if object_name is not None:
                 part = part.with_columns(object=[object_name] * len(part))
             ids = opened.add(part, session=session, episode=episode, sensor=described)

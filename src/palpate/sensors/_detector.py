@@ -320,7 +320,15 @@ class TouchDetector:
         if self.baseline is None and recorded is not None:
             self._set_baseline(recorded.no_contact)
         if self.baseline is None:
-            self.take_baseline([frame.image for frame in islice(frames, _REST_FRAMES)])
+            first = [frame.image for frame in islice(frames, _REST_FRAMES)]
+            try:
+                self.take_baseline(first)
+            except ContactError as error:
+                raise ContactError(
+                    f"The first {len(first)} frames must touch nothing, but something "
+                    "moves or presses in them. Cut away what is before a rest, or give "
+                    "`no_contact`."
+                ) from error
         ended: list[DetectedTouch | None] = []
         changes: list[float] = []
         last: Frame | None = None

@@ -315,9 +315,9 @@ def trimmed(arrays: Arrays) -> Arrays:
     for name, text in texts.items():
         if len(lacking := np.flatnonzero(np.isin(text, _LACKING))):
             raise TouchesError(
-                f"{name} must not be empty, got {str(text[lacking[0]])!r} at touch "
-                f"{lacking[0]}, as programs write a label that lacks. Label that touch "
-                "or leave it out."
+                f"Column {name} must not be empty, got {str(text[lacking[0]])!r} at "
+                f"touch {lacking[0]}, as programs write a label that lacks. Label that "
+                "touch or leave it out."
             )
     return {**arrays, **texts}
 
@@ -337,8 +337,8 @@ def _checked_labels(name: str, array: Array) -> Array:
     empty = np.char.str_len(np.char.strip(text)) == 0
     if empty.any():
         raise TouchesError(
-            f"{name} must not be empty, got an empty label at touch {empty.argmax()}. "
-            "Label that touch or leave it out."
+            f"Column {name} must not be empty, got an empty label at touch "
+            f"{empty.argmax()}. Label that touch or leave it out."
         )
     texts = text.tolist()
     spelt = {label: one_spelling(label) for label in set(texts)}
