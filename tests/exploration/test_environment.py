@@ -231,6 +231,7 @@ def test_several_in_one_process_are_the_single_ones(surface_map, name):
     from gymnasium.utils.env_checker import data_equivalence
     from gymnasium.vector.utils import iterate
 
+    importlib.import_module("palpate.exploration.environment")  # has these names
     learnt = {"surface_map": surface_map, "error": 1e-6} if name == BELIEF else {}
     options = {"objects": OBJECTS, "camera": CAMERA, "max_touches": 2, **learnt}
     several = gymnasium.make_vec(name, 3, **options)

@@ -325,8 +325,8 @@ def test_a_contact_far_from_all_that_is_known_ends_no_episode(
     end, again = (explore(*arms, **options) for _ in range(2))
     assert [record.outcome for record in end.history] == [outcome] * 2
     # Read again it says the same.
-    told = end.to_dict(knower, 0.05, strategy.hemisphere)
-    assert told == again.to_dict(knower, 0.05, strategy.hemisphere)
+    told = end.to_dict(knower, strategy.hemisphere)
+    assert told == again.to_dict(knower, strategy.hemisphere)
     messages = [attempt["message"] for attempt in told["attempts"]]
     told_once = [message.count("Is it another unit") for message in messages]
     assert told_once == [int(by_places)] * 2

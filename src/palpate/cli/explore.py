@@ -199,7 +199,7 @@ def recognise(
         as_json,
         {
             **about,
-            **end.to_dict(knower, deciding.strangers, stand.hemisphere),
+            **end.to_dict(knower, stand.hemisphere),
         },
         f"  {end.reason}",
         *standing,

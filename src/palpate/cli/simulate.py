@@ -40,8 +40,8 @@ Objects = Annotated[
     list[str] | None,
     argument(
         "OBJECT",
-        "Names (mug, 'porridge pot'...), the sets household, unseen or shapes, or "
-        "mesh files (.stl .obj .ply). Default: household.",
+        "Names (mug, 'porridge pot'...), the sets household, unseen, 'unlike "
+        "others' or shapes, or mesh files (.stl .obj .ply). Default: household.",
     ),
 ]
 Rows = Annotated[int, option("--rows", "Rows of the picture.")]

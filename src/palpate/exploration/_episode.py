@@ -46,8 +46,8 @@ class Exploration:
         Why it ended. After "faults" someone must look at the robot.
     reason : str
         One sentence.
-    belief : Belief or PlacedBelief
-        What the touches say.
+    belief : Belief, PlacedBelief or PlaceBelief
+        What the touches say; the last is of a `SurfaceMap`.
     history : list of TouchRecord
         All attempts.
     """
@@ -66,14 +66,13 @@ class Exploration:
     def to_dict(
         self,
         recogniser: ObjectRecogniser | TouchMap | SurfaceMap,
-        strangers: float,
         hemisphere: Hemisphere,
     ) -> dict[str, Any]:
         """Return plain values, with the belief after every attempt.
 
         That is worked out once more, with what the episode was made with.
         """
-        belief = _begun(recogniser, hemisphere, strangers)
+        belief = _begun(recogniser, hemisphere, self.belief.strangers)
         attempts: list[dict[str, Any]] = []
         for record in self.history:
             _taken_in(belief, record)

@@ -153,7 +153,10 @@ class PlaceBelief(BeliefOfPlaces):
             self._pictures = self._pictures + pictures[row]
             if placed:
                 self._met(tips[row], ways[row], middles[row])
+            n_told = self._n_informative
             super().update(evidence.of_touch(row))
+            if placed and self._n_informative == n_told:
+                self._weigh()  # its picture says nothing, its contact does
         return self
 
     def update_from_record(self, record: TouchRecord) -> Self:
@@ -231,7 +234,11 @@ class PlaceBelief(BeliefOfPlaces):
             )
 
     def _met(self, tip_mm: Floats, way: Floats, middle_mm: Floats) -> None:
-        """Take in a contact; how probable it is for known objects is added up."""
+        """Take in a contact; how probable it is for known objects is added up.
+
+        Nothing is weighed before the whole touch is in: half of one would count for
+        how low the episode came.
+        """
         self._tips_mm = np.concatenate([self._tips_mm, tip_mm[None]])
         self._ways = np.concatenate([self._ways, way[None]])
         before = self.log_place
@@ -240,7 +247,6 @@ class PlaceBelief(BeliefOfPlaces):
         self._stranger = self._stranger.met(middle_mm)
         self.log_place = self._by_place()
         self._known_nats += float(logsumexp(self.log_joint + self.log_place - before))
-        self._weigh()
 
     def _missed(self, from_mm: Floats, to_mm: Floats) -> None:
         """Take in that nothing was met between two points."""

@@ -160,7 +160,9 @@ class Strategy(Protocol):
     def next_pose(self, belief: Belief | None, history: History) -> SensorPose:
         """Return a pose on the hemisphere from which to move in.
 
-        `belief` is None while an object is taught: there is none to hold yet.
+        `belief` is None while an object is taught: there is none to hold yet. `history`
+        has attempts that met nothing, too: one that counts touches alone would go
+        where nothing is for ever.
         """
 
 

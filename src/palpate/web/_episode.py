@@ -96,7 +96,7 @@ class LiveEpisode:
 
     Without a recogniser touches are only kept. `nearest` holds the learnt touches most
     similar to the last one; `id` is None where one is not among `stored_ids`, those in
-    the library at hand. `accepted` is what `ObjectRecogniser.episode` takes;
+    the library at hand. `episode_options` is what `ObjectRecogniser.episode` takes;
     `can_teach` whether there is a library, without which nothing can be taught.
     """
 
@@ -104,17 +104,17 @@ class LiveEpisode:
         self,
         number: int,
         recogniser: ObjectRecogniser | None,
-        accepted: dict[str, Any],
+        episode_options: dict[str, Any],
         stored_ids: Set[str] = frozenset(),
         *,
         can_teach: bool = True,
     ) -> None:
-        self.number, self.accepted, self.can_teach = number, accepted, can_teach
+        self.number, self.episode_options, self.can_teach = number, episode_options, can_teach
         self.recogniser, self._stored_ids = recogniser, stored_ids
         self.nearest: list[dict[str, Any]] = []
         self.episode: Episode | None = None
         if recogniser is not None:
-            self.episode = recogniser.episode(**accepted, level="any")
+            self.episode = recogniser.episode(**episode_options, level="any")
         self.limits = "" if recogniser is None else recogniser.limits_message()
         self.by_place = False
         self.touches: list[LiveTouch] = []
@@ -155,9 +155,9 @@ class LiveEpisode:
 
     def believe_by_place(self, surface_map: SurfaceMap) -> None:
         """Believe by pictures and places from now on, and anew what was touched."""
-        accepted = dict(self.accepted)
-        belief = surface_map.start(strangers=accepted.pop("strangers"))
-        self.episode, self.by_place = Episode(belief, **accepted, level="any"), True
+        options = dict(self.episode_options)
+        belief = surface_map.start(strangers=options.pop("strangers"))
+        self.episode, self.by_place = Episode(belief, **options, level="any"), True
         touched = zip(self.touches, self.images, self._evidences, strict=False)
         for touch, image, evidence in touched:
             try:
@@ -268,7 +268,7 @@ class LiveEpisode:
         return {
             "number": self.number,
             "open": self.open,
-            **self.accepted,
+            **self.episode_options,
             "decision": self.decision,
             "category": self.category,
             "in_doubt": episode is not None and episode.in_doubt,

@@ -113,10 +113,10 @@ class LiveSession:
         summary: str = "peak",
     ) -> None:
         refusal = error if refusal is None else refusal
-        self.accepted: dict[str, Any] = {"error": error, "refusal": refusal}
-        for name, share in self.accepted.items():
+        self.episode_options: dict[str, Any] = {"error": error, "refusal": refusal}
+        for name, share in self.episode_options.items():
             check_number(name, share, low=1e-6, high=0.5)
-        self.accepted["strangers"] = check_strangers(strangers)
+        self.episode_options["strangers"] = check_strangers(strangers)
         self.listeners, self.health = Listeners(), Health(sensor)
         self.watch: SensorWatch | None = None
         if sensor is not None:
@@ -132,7 +132,7 @@ class LiveSession:
         self._n_elsewhere: dict[str, int] = {}
         self._no_contact_ids: set[str] = set()
         can_teach = self.teacher is not None
-        self.episode = LiveEpisode(1, None, self.accepted, can_teach=can_teach)
+        self.episode = LiveEpisode(1, None, self.episode_options, can_teach=can_teach)
         self.learning, self.learn_error = False, ""
         self.message = self.trouble = self.alarm = ""
         self._contact_evidence: list[Evidence] = []
@@ -654,7 +654,7 @@ class LiveSession:
         self.episode = LiveEpisode(
             number,
             self.recogniser,
-            self.accepted,
+            self.episode_options,
             self._stored_ids,
             can_teach=self.teacher is not None,
         )
