@@ -4,6 +4,7 @@ import copy
 import itertools
 import os
 import pickle
+import re
 from pathlib import Path
 
 import cv2
@@ -312,3 +313,21 @@ def test_real_originals_load_with_their_labels(data_folder):
         square = original[:, :, :480].reshape(-1, 120, 4, 120, 4)
         # The archive rounds the mean of 4 x 4 pixels to a whole grey level.
         assert_allclose(square.mean(axis=(2, 4)), image, atol=0.5)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npy", ".tif"])
+def test_more_files_of_another_kind_are_told(tmp_path, ending, rng):
+    """One picture beside eight touches in files of their own, as a preview of them."""
+    for n in range(8):
+        levels, file = rng.random((4, 4)).astype(np.float32), tmp_path / f"{n}{ending}"
+        if ending == ".npy":
+            np.save(file, levels)
+        elif ending == ".csv":
+            np.savetxt(file, levels, delimiter=",")
+        else:
+            Image.fromarray(levels).save(file)
+    assert len(Touches.load(tmp_path)) == 8
+    Image.fromarray(np.eye(4, dtype=np.uint8)).save(tmp_path / "preview.png")
+    message = f"has 1 of .png, which are read, and 8 of {ending}, which are left alone"
+    with pytest.warns(UserWarning, match=re.escape(message)):
+        assert len(Touches.load(tmp_path)) == 1

@@ -4,6 +4,7 @@ import hashlib
 import os
 import re
 import warnings
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -45,6 +46,8 @@ _GREY_DIFFERS = 8.0  # levels of 255, in the mean over a picture
 _ONE_TOUCH_A_FILE = tuple(
     ending for ending in CONTAINERS if ending not in (".zarr", ".mat")
 )
+_KINDS_OF_FILES = (PICTURES, _ONE_TOUCH_A_FILE, TABLES)  # the first there is read
+_ALL_KINDS = {ending for kinds in _KINDS_OF_FILES for ending in kinds}
 _GREY = {".bmp", ".webp"}  # pictures too, read where there is no JPEG or PNG
 _LISTED = 5  # pictures left out
 _MOST_TABLE = 2**30  # bytes; only to say which objects are lost
@@ -141,7 +144,10 @@ def folder_arrays(
     progress: bool | None,
 ) -> tuple[Arrays, list[bytes] | None]:
     """Return what `Touches` is made of, and files of pictures; see `Touches.load`."""
+    is_folder = root.is_dir()
     root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
+    if is_folder:
+        _warn_of_others(root, names)
     are_arrays = Path(names[0]).suffix.lower() in (*TABLES, *_ONE_TOUCH_A_FILE)
     if are_arrays and (colour or skip_bad or no_contact is not None):
         raise TouchesError(
@@ -335,6 +341,21 @@ def _without_bad(root: Path, names: Sequence[str], check: PictureCheck) -> list[
     return kept
 
 
+def _warn_of_others(root: Path, names: Sequence[str]) -> None:
+    """Warn of files that could be touches too, where they are more than those read."""
+    of_read = {Path(name).suffix.lower() for name in names}
+    kinds = Counter(Path(n).suffix.lower() for n in _files(root) if n != LABELS)
+    others = {k: n for k, n in kinds.items() if k in _ALL_KINDS and k not in of_read}
+    if sum(others.values()) > len(names):
+        left = " and ".join(f"{n} of {kind}" for kind, n in sorted(others.items()))
+        warnings.warn(
+            f"{root} has {len(names)} of {', '.join(sorted(of_read))}, which are read, "
+            f"and {left}, which are left alone. If these are the touches, take the "
+            "others out.",
+            stacklevel=4,
+        )
+
+
 def _there(no_contact: Path, root: Path) -> None:
     """Refuse a picture of no contact that is not there, with what may be meant."""
     if no_contact.exists():
@@ -381,8 +402,7 @@ def _picture_names(root: Path, no_contact: Path | None) -> list[str]:
     try:
         files = _files(root)
         there = {Path(name).suffix.lower() for name in files}
-        kinds_of_files = (PICTURES, _ONE_TOUCH_A_FILE, TABLES)
-        read = next((kinds for kinds in kinds_of_files if there & {*kinds}), ())
+        read = next((kinds for kinds in _KINDS_OF_FILES if there & {*kinds}), ())
         pictures = [n for n in files if Path(n).suffix.lower() in read and n != LABELS]
         if no_contact and root.resolve() in no_contact.resolve(strict=True).parents:
             pictures = [n for n in pictures if not no_contact.samefile(root / n)]
