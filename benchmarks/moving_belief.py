@@ -9,6 +9,7 @@ own until there is a decision. Writes docs/images/belief.gif; takes half a minut
 
 import io
 from pathlib import Path
+from textwrap import wrap
 
 import matplotlib
 
@@ -19,6 +20,7 @@ import numpy as np
 from PIL import Image
 
 from palpate import ObjectRecogniser, Touches, simulate_touches
+from palpate.recognition._sentences import NOTHING
 from palpate.simulation import DomeCamera
 
 OUTPUT = Path(__file__).parents[1] / "docs" / "images" / "belief.gif"
@@ -28,9 +30,9 @@ ANSWERS = {"mug": "mug", "toothbrush": "toothbrush", "pen": "pen"}
 ANSWERS["massage ball"] = "unknown"
 N_PLACEMENTS, N_TOUCHES, LONGEST = 8, 10, 20
 ERROR, STRANGERS = 0.05, 0.25
-NOTHING = "nothing I know"
 PAPER, INK, GREY, RIGHT = "#fffefb", "#1d2529", "#b9b3a6", "#0d5c63"
 TOUCH_MS, DECISION_MS = 700, 2600
+WIDEST = 46  # letters of a line of the title
 
 
 def learnt(camera: DomeCamera) -> ObjectRecogniser:
@@ -98,7 +100,8 @@ def drawn(name: str, image, episode) -> Image.Image:
     right.spines[["top", "right"]].set_visible(False)
     right.set_facecolor(PAPER)
     weight = "bold" if episode.decision else "normal"
-    right.set_title(episode.sentence, fontsize=12, color=INK, loc="left", weight=weight)
+    words = "\n".join(wrap(episode.sentence, WIDEST))
+    right.set_title(words, fontsize=12, color=INK, loc="left", weight=weight)
     stored = io.BytesIO()
     figure.savefig(stored, dpi=100, facecolor=PAPER)
     plt.close(figure)

@@ -199,8 +199,9 @@ def test_an_update_passes_the_functions_that_the_page_draws():
     inside = Path(palpate.__file__).parent
     passed = [str(Path(file).relative_to(inside)) for file in update_passed()]
     assert list(dict.fromkeys(f for f in passed if f in dict(drawn))) == [*dict(drawn)]
-    # There were 178 calls in 27 files; this fails when there are a tenth more.
-    assert len(passed) < 196
+    # There are 186 calls in 27 files; one more encoding of a dome makes some 13. Raise
+    # these with what makes an update do more, and say so in architecture.md.
+    assert len(passed) < 200
     assert len({*passed}) < 33
 
 

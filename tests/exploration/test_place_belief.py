@@ -95,6 +95,29 @@ def test_probabilities_sum_to_one_and_a_copy_goes_on_by_itself(surface_map):
     assert belief.posterior == before != other.posterior
 
 
+def test_half_of_a_touch_does_not_count_for_how_low_an_episode_came(
+    surface_map, monkeypatch
+):
+    """Each attempt is weighed once, when picture, contact and count are all in."""
+    counts, weigh = [], type(surface_map.start())._weigh
+
+    def counted_weigh(belief):
+        counts.append((belief.n_contacts, belief.touches_used))
+        weigh(belief)
+
+    _, history, stand = _touched(surface_map, "mug", 4)
+    monkeypatch.setattr(type(surface_map.start()), "_weigh", counted_weigh)
+    belief = surface_map.start_before(stand.hemisphere)
+    expected = [(0, 0)]
+    for record in history:
+        contacts, touches = belief.n_contacts, belief.touches_used
+        belief.update_from_record(record)
+        touched = int(record.touched)
+        met = record.outcome != "nothing"
+        expected.append((contacts + met, touches + touched))
+    assert counts == expected
+
+
 def test_before_any_touch_the_belief_is_the_prior(surface_map):
     prior = {"box": 0.2, "mug": 0.5, "pen": 0.3}
     assert surface_map.start(prior, 0).posterior == pytest.approx(prior)

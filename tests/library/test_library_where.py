@@ -165,13 +165,15 @@ def test_what_is_no_filter_is_refused(library, where, message):
 def test_texts_that_spell_numbers_are_ordered_as_these(tmp_path):
     """As `library add --session 2` writes them; a day is no number."""
     sessions = ["1", "02", "10", "-3", "2.5", "2024-05-01", "monday", ".", ""]
-    touches = Touches(np.arange(36).reshape(9, 2, 2), session=sessions)
+    sessions += ["1.2.3", "--5"]
+    touches = Touches(np.arange(44).reshape(11, 2, 2), session=sessions)
     with TouchLibrary.open(tmp_path, create=True) as library:
         library.add(touches)
         for sign, expected in (("<", ["1", "-3"]), (">=", ["02", "10", "2.5"])):
             rows = library.list(f"session {sign} 2")
             assert [row.session for row in rows] == expected
         assert library.count("session > 2024-04-30") == 2  # the day, and Monday
+        assert library.count("session < 3.5") == 4
 
 
 @pytest.mark.parametrize("limit", [2**63 - 1, 2**63, 2**64, -(2**63), -(2**64)])

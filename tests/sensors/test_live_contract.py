@@ -236,7 +236,7 @@ def test_a_device_that_comes_back_in_another_size_is_lost():
 @pytest.mark.parametrize("method", ["_grab", "_open"])
 def test_a_driver_that_wants_to_end_the_program_is_lost_and_tried_again(method):
     class Ending(Counting):
-        ends = 0
+        ends, queue_length = 0, 99  # a reader that is late loses no frame
 
         def _ended(self, name):
             if name == method and self.at >= 3 and not self.ends:

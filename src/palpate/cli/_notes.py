@@ -51,10 +51,8 @@ def left_aside(reading: Reading, path: Path, touches: "Touches | TouchSource") -
         )
     if kind == "folder":
         notes += [_stills_left(path, touches), named_in_ways(reading, path, touches)]
-    if _is_text(path):
-        notes.append(_read_as_taxels(path, touches))
-    if kind != "folder":
-        notes.append(_stuck_taxels(touches))
+    else:
+        notes += [_read_as_taxels(path, touches), _stuck_taxels(touches)]
     return "; ".join(filter(None, notes))
 
 
@@ -79,23 +77,18 @@ def named_in_ways(reading: Reading, path: Path, touches: "Touches") -> str:
     ) * (len(kinds) > 1)
 
 
-def _is_text(path: Path) -> bool:
-    return path.suffix.lower() in (".csv", ".tsv", ".txt") and path.is_file()
-
-
 def refuse_another_order(first: Path, training: Any, other: Path, touches: Any) -> None:
     """Refuse text files of the same taxels in two orders."""
     from ..touches import taxel_names
 
-    if _is_text(first) and _is_text(other):
-        names = taxel_names(first, training.columns)
-        others = taxel_names(other, touches.columns)
-        if names != others and sorted(names) == sorted(others):
-            n = [*map(ne, names, others)].index(True)
-            raise ValueError(
-                f"{other} must have its taxels in the order of {first}, got "
-                f"{others[n]} where {names[n]} is. Sort its columns so."
-            )
+    names = taxel_names(first, training.columns)
+    others = taxel_names(other, touches.columns)
+    if names != others and sorted(names) == sorted(others):
+        n = [*map(ne, names, others)].index(True)
+        raise ValueError(
+            f"{other} must have its taxels in the order of {first}, got {others[n]} "
+            f"where {names[n]} is. Sort its columns so."
+        )
 
 
 def _stills_left(path: Path, touches: "Touches") -> str:
@@ -142,19 +135,20 @@ def _read_as_taxels(path: Path, touches: "Touches") -> str:
     """Return which columns of a text file are taxels, where names leave it open."""
     from ..touches import in_order, taxel_names
 
-    notes = []
-    if touches.geometry == "none" and (names := touches.unknown_names):
+    taxels, notes = taxel_names(path, touches.columns), []
+    if taxels and touches.geometry == "none" and (names := touches.unknown_names):
         listed = ", ".join(names[:5]) + " and more" * (len(names) > 5)
         notes.append(
             f"numbers beside the numbered taxels are kept, not looked at "
             f"({listed}): what tells objects apart must have a taxel's name and "
             "the next number"
         )
-    names = taxel_names(path, touches.columns)
-    if not in_order(names) and len(names) == touches.images[0].size:
-        few = ", ".join([*names[:4], "...", *names[-3:]] if len(names) > 8 else names)
+    if not in_order(taxels) and len(taxels) == touches.images[0].size:
+        few = ", ".join(taxels)
+        if len(taxels) > 8:
+            few = ", ".join([*taxels[:4], "...", *taxels[-3:]])
         notes.append(
-            f"{len(names)} columns of numbers were read as taxels, in this order: "
+            f"{len(taxels)} columns of numbers were read as taxels, in this order: "
             f"{few}; take out what is none, such as times and numbers of objects"
         )
     return "; ".join(notes)

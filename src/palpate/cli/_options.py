@@ -380,7 +380,7 @@ class Learning:
 
 @dataclass(frozen=True)
 class Deciding:
-    """When something is named or called unknown, as `ObjectRecogniser.episode` takes it."""
+    """When something is named, or called unknown; see `ObjectRecogniser.episode`."""
 
     error: Annotated[float, option("Accepted share of wrong names.")] = 0.01
     refusal: Annotated[

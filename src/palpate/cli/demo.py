@@ -168,7 +168,7 @@ def _recognise_by_exploring(
         )
         if not quiet:
             say(f"  {end.reason}\n")
-        ended = end.to_dict(recogniser, strangers, stand.hemisphere)
+        ended = end.to_dict(recogniser, stand.hemisphere)
         episodes.append({"object": name, **ended})
     return episodes
 

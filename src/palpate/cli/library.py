@@ -212,8 +212,12 @@ def show(
                 f"The id must be that of one touch, got {touch!r}, which begins "
                 f"{len(rows)} of them. See `palpate library list`."
             )
-        image = opened.image(rows[0].id)
-    values = rows[0]._asdict()
+        image, values = opened.image(rows[0].id), rows[0]._asdict()
+        if not rows[0].retracted:
+            part = opened.touches(f"id = '{rows[0].id}'")
+            more = {n: c[0] for n, c in part.columns.items() if n not in values}
+            few = {n: c.tolist() for n, c in more.items() if c.size <= _CELLS_SHOWN}
+            values |= few
     values |= {"least": image.min().item(), "largest": image.max().item()}
     if output is not None:
         with replacing(output) as file:
@@ -432,6 +436,7 @@ def restore(
 
 
 _ID_SHOWN = 12
+_CELLS_SHOWN = 8  # of a column, for each touch: a place, a pose, a wrench; no frames
 _COLUMNS_SHOWN = ("id", "object", "session", "episode", "order", "force_n", "retracted")
 
 
@@ -456,4 +461,4 @@ def _meant(
 def _shown(value: Any) -> str:
     if value is None:
         return "-"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{value:.12g}" if isinstance(value, float) else str(value)

@@ -251,7 +251,8 @@ def _in_order(column: str, bound: list[Any], operator: str, value: Any) -> Condi
         sql = (
             f"(CASE WHEN typeof({column}) != 'text' THEN {column} "
             f"WHEN {column} GLOB '*[0-9]*' AND ltrim({column}, '-') NOT GLOB "
-            f"'*[^0-9.]*' THEN CAST({column} AS NUMERIC) END {operator} ?)"
+            f"'*[^0-9.]*' AND {column} NOT GLOB '*.*.*' AND {column} NOT GLOB '--*' "
+            f"THEN CAST({column} AS NUMERIC) END {operator} ?)"
         )
     return Condition(sql, [*bound * sql.count(column), value])
 

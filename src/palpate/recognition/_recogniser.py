@@ -338,6 +338,8 @@ class ObjectRecogniser(ClassifierMixin, Learner):
         By `name`: `n_touches` with contact; `after_one` and `after_eight`, shares of
         right answers after one touch and after eight drawn ones, None where there are
         not so many; `taken_for`, the most frequent wrong answer to one touch, or None.
+        Each touch is asked as if it, and its neighbours, had not been taught: places
+        that were never touched are not judged.
         """
         now = copy(self)  # another thread may learn meanwhile
         log_likelihood, codes = now._left_out_with_contact()

@@ -3,9 +3,6 @@
 The terminal, the page, reports and Python all show these sentences; numbers behind them
 (evidence in nats, bounds, encodings) are told where someone asks why. Pictures of
 beliefs, episodes and confusions stand beside them.
-
-Whether what was learnt will do: it is asked about every touch of it as if that, and its
-neighbours, had not been taught. That says nothing of places that were never touched.
 """
 
 from __future__ import annotations
@@ -41,8 +38,8 @@ MOST_LABELLED = 30
 N_JUDGED, _N_NAMED = 8, 4
 # An object that is right after one touch, or eight, less often than this wants more.
 _RIGHT_AFTER_ONE, _RIGHT_AFTER_EIGHT = 0.5, 0.9
-# What stands for a stranger.
-_NOTHING, _GREY = "nothing learnt", "#888888"
+# What stands for a stranger in pictures.
+_STRANGER_BAR, _GREY = "nothing learnt", "#888888"
 
 
 def sentence_of(
@@ -165,7 +162,7 @@ def draw_belief(
 ) -> Axes:
     """Draw a bar for each object's probability, the first one on top, and for none."""
     axes = _axes("A picture of a belief", ax, (5, 3))
-    bars = {**shares, _NOTHING: unknown}
+    bars = {**shares, _STRANGER_BAR: unknown}
     names = [*bars][::-1]
     colours = [_GREY, *["#4c78a8"] * len(shares)]
     widths = [bars[name] for name in names]
@@ -181,7 +178,7 @@ def belief_in_html(
     bars = [_bar(name, share) for name, share in shares.items()]
     if n_more:
         bars.append(f"<tr><td colspan=2>and {n_more} more</td></tr>")
-    bars.append(_bar(_NOTHING, unknown))
+    bars.append(_bar(_STRANGER_BAR, unknown))
     return f"<table><caption>{escape(title)}</caption>{''.join(bars)}</table>"
 
 
@@ -204,7 +201,7 @@ def draw_episode(
     numbers = range(1, len(unknown) + 1)
     for name, of_object in shares.items():
         axes.plot(numbers, of_object, marker="o", label=_plain(name))
-    axes.plot(numbers, unknown, "--", color=_GREY, label=_NOTHING)
+    axes.plot(numbers, unknown, "--", color=_GREY, label=_STRANGER_BAR)
     axes.axhline(limit, color="#cccccc", linewidth=1)
     axes.set(ylim=(0, 1.02), xlabel="touch", ylabel="probability", title=_plain(title))
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)

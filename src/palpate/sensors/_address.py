@@ -312,13 +312,13 @@ def _sensor_of(kind: str, place: str, arguments: dict[str, Any]) -> LiveSensor:
     elif kind == "replay":
         arguments.pop("image_shape", None)
         sensor = ReplaySensor(Path(place), **arguments)
-    elif shape is None:
-        raise AddressError(
-            "shape must be given for a serial array, got none. Say how many rows and "
-            f"columns it has: serial:{place}?shape=16x16, or `shape=16x16`; "
-            "`shape=auto` listens to it."
-        )
-    else:
+    else:  # serial
+        if shape is None:
+            raise AddressError(
+                "shape must be given for a serial array, got none. Say how many rows "
+                f"and columns it has: serial:{place}?shape=16x16, or `shape=16x16`; "
+                "`shape=auto` listens to it."
+            )
         if shape == "auto":
             speed = {"baud": arguments["baud"]} if "baud" in arguments else {}
             listened = find_array(place, **speed)

@@ -27,12 +27,12 @@ from ._columns import COLUMNS, LABELS, Arrays, TouchesError, checked_shape
 from ._containers import CONTAINERS, container_arrays
 
 TABLES = (".csv", ".npy")
-TEXTS = (".txt", ".tsv")  # by themselves; in folders they are notes
+TEXT_ENDINGS = (".txt", ".tsv")  # by themselves; in folders they are notes
 _PLACES = ("x_mm", "y_mm", "z_mm")
-_TEXTS = ("object", "category", "session", "subject")
-_NAMED = COLUMNS | {*_PLACES, "subject"}
+_TEXT_COLUMNS = ("object", "category", "session", "subject")
+COLUMN_NAMES = COLUMNS | {*_PLACES, "subject"}
 # Known names that are also read in capitals.
-_SPELT = (*_TEXTS, *_PLACES, "order", "force_n", "time_s")
+_SPELT = (*_TEXT_COLUMNS, *_PLACES, "order", "force_n", "time_s")
 CLOCK = re.compile(
     r"(time|time[ _]?stamp|stamp)([ _]?[(\[]?(s|secs?|seconds?|ms|us|ns|min)[)\]]?)?",
     re.IGNORECASE,
@@ -58,7 +58,7 @@ def table_arrays(
     """
     table = dict(map(_renamed, _spelt([*table]), table, table.values()))
     for name, column in table.items():
-        is_text = column.dtype.kind == "U" and name not in _TEXTS
+        is_text = column.dtype.kind == "U" and name not in _TEXT_COLUMNS
         cells = [str(cell) for cell in column if is_text and cell]
         numbers = [cell for cell in cells if _DECIMAL_COMMA.fullmatch(cell)]
         commas = [cell for cell in numbers if "," in cell]
@@ -67,14 +67,20 @@ def table_arrays(
                 f"Column {name} must hold numbers with a decimal point, got "
                 f"{commas[0]!r}. Write points (of pandas, read_csv(decimal=','))."
             )
-        texts = column[column != ""].tolist() if is_text and name not in _NAMED else []
+        texts = (
+            column[column != ""].tolist()
+            if is_text and name not in COLUMN_NAMES
+            else []
+        )
         odd = [text for text in texts if not _is_number(text)]
         if 0 < len(odd) < len(texts) / 2:  # a taxel, which would be none in silence
             raise TouchesError(
                 f"Column {name} must hold numbers as most of it does, got {odd[0]!r}. "
                 "Correct it; where a taxel is dead leave it empty."
             )
-    named = {n for n, c in table.items() if n in _NAMED or c.dtype.kind not in "biuf"}
+    named = {
+        n for n, c in table.items() if n in COLUMN_NAMES or c.dtype.kind not in "biuf"
+    }
     truths = {n for n, c in table.items() if c.dtype.kind == "b"}
     if 2 * len(truths) < len(table.keys() - named):
         named |= {name for name in truths if _stem(name) == name}
@@ -157,7 +163,9 @@ def _renamed(spelt: str, name: str, column: Array) -> tuple[str, Array]:
         return name, column  # it may be about something else
     if spelt in LABELS and kind == "f" and (column == np.rint(column)).all():
         return spelt, column.astype(np.int64)
-    kinds = "Uiu" if spelt in LABELS else "iuf" if spelt not in _TEXTS else "Uiuf"
+    kinds = (
+        "Uiu" if spelt in LABELS else "iuf" if spelt not in _TEXT_COLUMNS else "Uiuf"
+    )
     return (spelt if kind in kinds else name), column
 
 
@@ -211,7 +219,12 @@ def _ends(name: str, channel: str) -> bool:
 
 
 def taxel_names(path: Path, columns: Collection[str]) -> list[str]:
-    """Return the names that a text file gives to what is none of `columns`, if any."""
+    """Return the names that a text file gives to what is none of `columns`, if any.
+
+    Files of other kinds name no taxels.
+    """
+    if path.suffix.lower() not in (".csv", *TEXT_ENDINGS) or not path.is_file():
+        return []
     with path.open(newline="", encoding="utf-8-sig") as file:
         first, comma = _first_line(file)
     split = first.split(comma) if comma in first.strip() else first.split()
@@ -245,7 +258,7 @@ def csv_arrays(
         )
     values = [float(cell) for cell in first if named and cell and not _is_name(cell)]
     rise = all(low < high for low, high in pairwise(values))
-    if not rise and not _NAMED.intersection(_spelt(first)):
+    if not rise and not COLUMN_NAMES.intersection(_spelt(first)):
         raise TouchesError(
             f"{path} must begin with a line of names, or hold numbers alone, got "
             f"{', '.join(first[:5])}... Add a line of names before it, one of them "
@@ -267,7 +280,9 @@ def csv_arrays(
     table = {}
     for name, cells in zip(names, zip(*rows, strict=True), strict=True):
         numbers = [_is_number(cell) for cell in cells if cell]
-        text = name.lower() in _TEXTS or (named and not any(numbers) and bool(numbers))
+        text = name.lower() in _TEXT_COLUMNS or (
+            named and not any(numbers) and bool(numbers)
+        )
         what = f"{path}, {name}"
         table[name] = np.array(cells) if text else _numbers(cells, what, 1 + named)
     return table_arrays(table, shape, channels)
@@ -362,7 +377,7 @@ def label_columns(path: Path, names: Sequence[str], max_bytes: int) -> Arrays:
     holds the name of the picture, with its folders if it lies in some.
     """
     header, *rows = _lines(path, max_bytes)
-    header = _spelt(header, _TEXTS)
+    header = _spelt(header, _TEXT_COLUMNS)
     place = next((i for i, n in enumerate(header) if n.lower() in _FILE_NAMES), None)
     if place is None or len(set(header)) < len(header) or not all(header):
         raise TouchesError(
@@ -383,7 +398,7 @@ def label_columns(path: Path, names: Sequence[str], max_bytes: int) -> Arrays:
         cells = [by_name[picture][number] for picture in names]
         if number == place or not any(cells):
             continue
-        number_like = name not in _TEXTS and all(map(_is_number, cells))
+        number_like = name not in _TEXT_COLUMNS and all(map(_is_number, cells))
         what = f"{path}, {name}"
         columns[name] = _numbers(cells, what, 2) if number_like else np.array(cells)
     return columns

@@ -23,7 +23,6 @@ from .._types import FILMS, PICTURES, Array
 from . import _columns
 from ._archive import read_archive, write_archive
 from ._columns import (
-    COLUMNS,
     LABELS,
     Arrays,
     TouchesError,
@@ -34,8 +33,16 @@ from ._columns import (
 )
 from ._containers import CONTAINERS, RAW, container_arrays, raw_arrays
 from ._folder import folder_arrays, no_contact_picture, shows_colour
-from ._parquet import is_parquet, parquet_parts
-from ._tables import CLOCK, TABLES, TEXTS, csv_arrays, load_levels, table_arrays
+from ._parquet import ENDINGS, is_parquet, parquet_parts
+from ._tables import (
+    CLOCK,
+    COLUMN_NAMES,
+    TABLES,
+    TEXT_ENDINGS,
+    csv_arrays,
+    load_levels,
+    table_arrays,
+)
 
 MAX_PIXELS = 50_000_000  # of one picture: any camera's
 MAX_BYTES = 4 * 2**30  # of all images, 4 GiB: what a laptop holds
@@ -46,7 +53,7 @@ _ARCHIVE, _ARRAY, _TABLE = "an archive", "an array", "a table"
 _BARE, _OTHER = "bare frames", "a file of another program"
 _KINDS = {
     **dict.fromkeys(PICTURES, _PICTURE),
-    **dict.fromkeys((*TABLES, *TEXTS), _TABLE),
+    **dict.fromkeys((*TABLES, *TEXT_ENDINGS), _TABLE),
     **dict.fromkeys(CONTAINERS, _OTHER),
     **dict.fromkeys(RAW, _BARE),
     ".npy": _ARRAY,
@@ -235,9 +242,9 @@ class Touches(Labelled):
             An archive (`.npz`; of plain arrays too, if one alone can be the images), a
             folder of pictures, of `.npy` or of CSV files, one touch each; a picture; an
             array (`.npy`), one touch if it has two axes; a CSV file or a text of
-            columns (`.txt`), one touch a line; HDF5 (`.h5`, `.hdf5`), `.zarr`, TIFF
-            (one touch a page), `.mat` of MATLAB, `.bmp`, `.webp`; frames without a
-            header (`.raw`, `.bin`, `.dat`).
+            columns (`.txt`, `.tsv`), one touch a line; Parquet (`.parquet`, `.pq`);
+            HDF5 (`.h5`, `.hdf5`), `.zarr`, TIFF (one touch a page), `.mat` of MATLAB,
+            `.bmp`, `.webp`; frames without a header (`.raw`, `.bin`, `.dat`).
         name_pattern : str, optional
             Of a folder, a regular expression, searched in each file name, else in its
             path within the folder. Named groups become columns: `object`, `category`
@@ -460,7 +467,7 @@ class Touches(Labelled):
     def unknown_names(self) -> list[str]:
         """Names of columns of numbers that are no clocks, nor known to palpate."""
         numbers = [n for n, c in self._columns.items() if c.dtype.kind in "iuf"]
-        return [n for n in numbers if n not in COLUMNS and not CLOCK.fullmatch(n)]
+        return [n for n in numbers if n not in COLUMN_NAMES and not CLOCK.fullmatch(n)]
 
     def hides_colour(self) -> bool:
         """Tell whether the first picture shows colour, and was read in grey."""
@@ -675,9 +682,10 @@ def _kind_of(path: str | PathLike[str]) -> str:
             f"{place} must be cut into touches, got a film. Read it by "
             "sensors.TouchDetector().touches_in."
         )
+    others = [kind for kind in (*_KINDS, *ENDINGS) if kind != ".npz"]
     raise TouchesError(
         f"{place} must be a touch archive (.npz), a folder, or one of "
-        f"{', '.join(_KINDS)}, got another kind of file. Convert it."
+        f"{', '.join(others)}, got another kind of file. Convert it."
     )
 
 

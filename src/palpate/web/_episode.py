@@ -109,7 +109,11 @@ class LiveEpisode:
         *,
         can_teach: bool = True,
     ) -> None:
-        self.number, self.episode_options, self.can_teach = number, episode_options, can_teach
+        self.number, self.episode_options, self.can_teach = (
+            number,
+            episode_options,
+            can_teach,
+        )
         self.recogniser, self._stored_ids = recogniser, stored_ids
         self.nearest: list[dict[str, Any]] = []
         self.episode: Episode | None = None
