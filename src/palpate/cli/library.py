@@ -204,6 +204,7 @@ def show(
 
     if not touch.isalnum():
         raise ValueError(f"The id of a touch must be hexadecimal, got {touch!r}.")
+    touch = touch.lower()
     with _opened(folder) as opened:
         rows_of_id = opened.list(f"id contains '{touch}'", limit=None, retracted=True)
         rows = [row for row in rows_of_id if row.id.startswith(touch)]

@@ -349,8 +349,11 @@ def _page(
 
 
 def _figures(health: dict[str, Any]) -> list[list[str]]:
-    shown = {n: "-" if v is None else f"{v:.4g}" for n, v in health["figures"].items()}
-    return [[name.replace("_", " "), text] for name, text in shown.items()]
+    rows = []
+    for name, value in health["figures"].items():
+        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        rows.append([name.replace("_", " "), "-" if value is None else text])
+    return rows
 
 
 def _curve(levels: list[float], limit: float) -> str:

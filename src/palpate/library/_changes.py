@@ -26,8 +26,8 @@ class Change(NamedTuple):
     """One recorded change: when it was made and what it did.
 
     `action` is "rename" (of `old` to `new`), "merge" (of `source` `into` another),
-    "retract" or "restore" (of the touches with these `ids`, for a `reason`); `content`
-    says all that. `after` is the number of touches there were.
+    "retract" (of the touches with these `ids`, for a `reason`) or "restore" (of these
+    `ids`); `content` says all that. `after` is the number of touches there were.
     """
 
     time_s: float

@@ -45,9 +45,11 @@ CELLS: tuple[str, ...] = (
     *("object", "category", "session", "episode", "sensor", "order"),
     *("time_s", "force_n", "press", "frame", "source_path"),
 )
-# What tells two touches with the same image apart.
-_TELLING = (name for name in CELLS if name not in ("category", "source_path"))
-IDENTITY = (*_TELLING, "position_mm", "position_raw")
+# What tells two touches with the same image apart: an id follows from these.
+IDENTITY = (
+    *("object", "session", "episode", "sensor", "order", "time_s", "force_n"),
+    *("press", "frame", "position_mm", "position_raw"),
+)
 _CANONICAL = json.JSONEncoder(
     sort_keys=True, separators=(",", ":"), allow_nan=False, check_circular=False
 )

@@ -21,7 +21,7 @@ from ._changes import (
     make_change,
     object_row,
 )
-from ._content import id_bytes
+from ._content import CELLS, id_bytes
 from ._exchange import export_touches
 from ._migrating import MigrationReport, migrate_library
 from ._reading import (
@@ -302,18 +302,14 @@ class TouchLibrary:
 
     def _listed(self, row: StoredTouch, reasons: dict[int, str]) -> TouchRow:
         recording = self._tables.recording(row.recording)
-        name, category, session, episode, sensor, order, time_s, force_n = row.cells[:8]
+        cells = dict(zip(CELLS, row.cells, strict=True))
+        sensor = cells["sensor"]
         n_rows, n_cols, *n_channels = recording.image_shape
         return TouchRow(
             row.key.hex(),
-            name,
-            category,
-            session,
-            episode,
+            *(cells[name] for name in ("object", "category", "session", "episode")),
             recording.sensor if sensor is None else sensor,
-            order,
-            time_s,
-            force_n,
+            *(cells[name] for name in ("order", "time_s", "force_n")),
             n_rows,
             n_cols,
             n_channels[0] if n_channels else None,

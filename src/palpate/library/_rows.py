@@ -57,10 +57,12 @@ OBJECT_NAMES = (
 FROM = f"FROM touches t JOIN recordings r ON r.id = t.recording {OBJECT_NAMES}"
 _LISTED = ", ".join(f't."{name}"' for name in CELLS[1:])
 _NAMED = f"FROM touches t {OBJECT_NAMES}"
+_WRITTEN = (
+    *("number", "id", "label", "object", "layout", "recording", "added_s", "image"),
+    *("content", "digest", "extra", *(f'"{name}"' for name in CELLS[1:])),
+)
 _INSERT = (
-    "INSERT INTO touches (number, id, label, object, layout, recording, added_s, "
-    'image, content, digest, extra, category, session, episode, sensor, "order", '
-    f"time_s, force_n, press, frame, source_path) VALUES {placeholders(21)}"
+    f"INSERT INTO touches ({', '.join(_WRITTEN)}) VALUES {placeholders(len(_WRITTEN))}"
 )
 
 

@@ -294,7 +294,7 @@ def _change_problems(tables: Tables, progress: bool | None) -> Iterator[Problem]
                 continue
             if change.action == "retract":
                 retracted.setdefault(touch, key)
-            else:
+            elif change.action == "restore":
                 retracted.pop(touch, None)
     if len(rows) != tally.n_changes or chain != tally.changes:
         what = f"{tally.n_changes} changes must be there, got {len(rows)} or others."

@@ -219,23 +219,43 @@ def _findings(
     drift, limit = figures["drift"], figures["drift_limit"]
     by_row, by_col = figures["shared_by_rows"], figures["shared_by_columns"]
     late_ms, usual_ms = figures["interval_99_ms"], 1000 / (figures["rate_hz"] or np.inf)
-    signs = {
-        f"{_named(saturated)} read the most there is, at rest: saturated.": saturated,
-        f"{_named(dead)} never change or lack readings: dead, loose or unplugged.": (
-            dead
+    signs = [
+        (
+            saturated,
+            f"{_named(saturated)} read the most there is, at rest: saturated.",
         ),
-        f"{_named(hot)} are over {_HOT:g} times as noisy as others: hot.": hot,
-        f"Rest drifted by {drift:.3g} in {duration_s:.0f} s; a touch ends at "
-        f"{limit:.3g}. Let it warm up, or take the baseline often.": drift > limit,
-        f"Rows share {100 * by_row:.0f} % and columns {100 * by_col:.0f} % of "
-        "their noise: crosstalk, or an unsteady supply.": max(by_row, by_col) > _SHARED,
-        f"One frame in 100 comes {late_ms:.0f} ms after the last, usually "
-        f"{usual_ms:.0f}: something holds it up.": late_ms > _LATE * usual_ms,
-        f"{100 * figures['lost']:.1f} % of the frames are lost.": (
-            figures["lost"] > _LOST
+        (
+            dead,
+            f"{_named(dead)} never change or lack readings: dead, loose or unplugged.",
         ),
-    }
-    return [finding for finding, is_wrong in signs.items() if is_wrong]
+        (hot, f"{_named(hot)} are over {_HOT:g} times as noisy as others: hot."),
+        (
+            drift > limit,
+            (
+                f"Rest drifted by {drift:.3g} in {duration_s:.0f} s; a touch ends at "
+                f"{limit:.3g}. Let it warm up, or take the baseline often."
+            ),
+        ),
+        (
+            max(by_row, by_col) > _SHARED,
+            (
+                f"Rows share {100 * by_row:.0f} % and columns {100 * by_col:.0f} % of "
+                "their noise: crosstalk, or an unsteady supply."
+            ),
+        ),
+        (
+            late_ms > _LATE * usual_ms,
+            (
+                f"One frame in 100 comes {late_ms:.0f} ms after the last, usually "
+                f"{usual_ms:.0f}: something holds it up."
+            ),
+        ),
+        (
+            figures["lost"] > _LOST,
+            f"{100 * figures['lost']:.1f} % of the frames are lost.",
+        ),
+    ]
+    return [finding for is_wrong, finding in signs if is_wrong]
 
 
 def _times(frames: Sequence[Frame]) -> dict[str, Any]:
