@@ -9,6 +9,7 @@ import sys
 import time
 from contextlib import contextmanager, nullcontext
 from importlib.util import find_spec
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
@@ -27,7 +28,7 @@ from typer.testing import CliRunner
 from palpate.cli import app
 from palpate.library import LibraryError, TouchLibrary
 from palpate.sensors import open_sensor, ros_place
-from palpate.sensors.ros import STRING, read_message
+from palpate.sensors.ros import STRING, read_message, text_message, write_message
 from palpate.web import LiveSession
 
 from .conftest import Event
@@ -209,6 +210,64 @@ def test_the_command_publishes_too(learnt, tmp_path):
         assert episode["touches"]
         received = heard_by(process)
     assert received["belief"][0]["results"][0][0] == "rows"
+
+
+@pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
+def test_an_object_must_have_a_name_that_can_be_taught(make_session):
+    with make_session() as session:
+        publisher = session.publish(f"ros:/desk?domain={DOMAIN}")
+        sentence = "teach and confirm mean red mug now."
+        assert publisher.ask("object  red mug ") == (True, sentence)
+        done, why = publisher.ask("object unknown")
+        assert not done
+        assert "must not be 'unknown'" in why
+        assert publisher.ask("start mug") == (
+            False,
+            "start must stand alone, got 'mug' after it.",
+        )
+        publisher.close()
+
+
+@pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
+def test_a_touch_that_cannot_be_written_ends_no_publishing(
+    make_session, drawn, monkeypatch, capsys
+):
+    with make_session() as session:
+        publisher = session.publish(f"ros:/desk?domain={DOMAIN}")
+        written = []
+        writing = Mock(side_effect=[OSError("no route"), None, None])
+        belief = SimpleNamespace(write_bytes=writing, hindrance="")
+        monkeypatch.setattr(publisher, "_belief", belief)
+        decision = SimpleNamespace(write_bytes=written.append)
+        monkeypatch.setattr(publisher, "_decision", decision)
+        for image in drawn.images[:3]:
+            session.post_touch(image)
+        publisher.close()
+    assert writing.call_count == 3
+    assert len(written) == 2
+    assert capsys.readouterr().err.count("was not published to /desk: OSError") == 1
+
+
+@pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
+def test_a_numbered_command_gets_a_numbered_answer_and_late_readers_all(make_session):
+    place = f"ros:/desk?domain={DOMAIN}"
+    with make_session() as session:
+        publisher = session.publish(place)
+        node = ros_place(place).open_node()
+        commands = node.publish("/desk/command", STRING)
+        assert eventually(lambda: publisher._commands.n_publishers)
+        for number in range(5):
+            text = text_message(f"#{number} start")
+            commands.write_bytes(write_message(text, STRING))
+        answered = [f"#{n} done: The next touch begins an episode." for n in range(5)]
+        answers = node.subscribe("/desk/answer", STRING, reliable=True)
+        texts, end_s = [], time.monotonic() + 10
+        while len(texts) < 5 and time.monotonic() < end_s:
+            texts += [read_message(raw, STRING).data for raw in answers.take(0.2)]
+        assert sorted(texts) == answered
+        del answers, commands
+        publisher.close()
+        node.close()
 
 
 @pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")

@@ -34,6 +34,15 @@ def balls(drawn):
     return drawn[rows].with_columns(position_mm=tips, direction=directions)
 
 
+def test_a_force_of_zero_is_measured(make_session, drawn):
+    place = {"position_mm": (0, 0, 60), "direction": (0, 0, -1)}
+    with make_session(sensor=False, library=None) as session:
+        for force in ({"force_n": 0.0}, {"force_n": 2.0}, {}):
+            session.post_touch(drawn.images[0], {**place, **force})
+        forces = session.episode.as_touches().columns["force_n"]
+    np.testing.assert_array_equal(forces, [0.0, 2.0, np.nan])
+
+
 @pytest.fixture(scope="module")
 def placed_model(tmp_path_factory, balls):
     path = tmp_path_factory.mktemp("placed") / "balls.palpate"

@@ -50,7 +50,7 @@ class PalpateNode(Node):  # type: ignore[misc]
         self.process = PalpateProcess(command_line(parameters, os.environ, prefix))
         together = ReentrantCallbackGroup()  # an answer comes while a service waits
         self._ask = threading.Lock()
-        self._answered, self._answer = threading.Event(), ""
+        self._answered, self._answer, self._number = threading.Event(), "", 0
         self._commands = self.create_publisher(String, "~/command", _WAITING)
         options = {"callback_group": together}
         self.create_subscription(
@@ -66,15 +66,19 @@ class PalpateNode(Node):  # type: ignore[misc]
         """Give the process a command; return whether it was done, and its answer."""
         with self._ask:
             self._answered.clear()
-            self._commands.publish(String(data=command))
+            self._number += 1
+            self._commands.publish(String(data=f"#{self._number} {command}"))
             if not self._answered.wait(_ANSWER_S):
                 return False, "palpate does not answer: it may still be starting."
             outcome, _, sentence = self._answer.partition(": ")
         return outcome == "done", sentence
 
     def _take_answer(self, message: Any) -> None:
-        self._answer = str(message.data)
-        self._answered.set()
+        # Answers to others, late ones, and the second of "learn" are not waited for.
+        number, _, answer = str(message.data).partition(" ")
+        if number == f"#{self._number}":
+            self._answer = answer
+            self._answered.set()
 
     def _trigger(self, command: str) -> Any:
         def answer(request: Any, response: Any) -> Any:

@@ -161,6 +161,23 @@ def test_the_package_is_of_python_3_10_and_takes_no_numpy():
             assert not {"numpy", "palpate"} & {*names}
 
 
+@pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
+def test_an_answer_to_another_command_is_not_waited_for(ros, monkeypatch):
+    monkeypatch.setattr(StandIn, "parameters", PARAMETERS)
+    monkeypatch.setattr(PalpateProcess, "start", lambda process: None)
+    node = ros.PalpateNode()
+    texts = ["refused: Too little to learn.", "#7 done: of another.", "#1 done: Begun."]
+
+    def answer(message):
+        assert message.data == "#1 start"
+        for text in texts:
+            node._take_answer(Answer(data=text))
+
+    monkeypatch.setattr(node._commands, "publish", answer)
+    assert node.ask("start") == (True, "Begun.")
+    node.ended.set()
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("colcon") is None, reason="no colcon")
 def test_colcon_builds_it(tmp_path):

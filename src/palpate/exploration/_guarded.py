@@ -63,7 +63,8 @@ class Guard:
     max_press_mm : float, default=20.0
         Way from the first contact after which something must be wrong.
     timeout_s : float, default=60.0
-        Longest approach.
+        Longest approach, of a force sensor that does not lag; waiting for one that
+        does takes longer, and so does the limit.
     n_readings : int, default=4
         Readings per step, averaged against noise. Must be more than the readings by
         which the force sensor lags behind the arm.
@@ -511,9 +512,10 @@ class _Approach:
         self._refuse_miss()
         # Waiting for a late force sensor takes so many times as long.
         longer = 1 + self.wait_readings / self.guard.n_readings
-        if self.clock() - self._began > self.guard.timeout_s * longer:
+        most_s = self.guard.timeout_s * longer
+        if self.clock() - self._began > most_s:
             raise _Fault(
-                f"No end after {self.guard.timeout_s:g} s, {travel_mm:g} mm from the "
+                f"No end after {most_s:g} s, {travel_mm:g} mm from the "
                 "start. If the arm is that slow, raise timeout_s, or start nearer.",
                 "timed out",
             )

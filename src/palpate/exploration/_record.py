@@ -58,11 +58,13 @@ class TouchRecord:
     start : SensorPose
         Where the approach began.
     position_mm : tuple of float
-        Where the tip was at the end of the approach, before it was pulled back.
+        Where the tip was at the end of the approach, before it was pulled back; after a
+        fault on the way to the start, that start, which was not reached.
     force_n : float
         Force there, offset removed; of the last readings that were taken.
     peak_force_n : float
-        Magnitude of the greatest single reading of the approach, offset removed.
+        Magnitude of the greatest single reading of the approach, offset removed; of a
+        way to the start as it was read.
     travel_mm : float
         Length of the approach.
     duration_s : float

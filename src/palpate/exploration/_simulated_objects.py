@@ -73,7 +73,8 @@ class Stand:
     ) -> TouchRecord:
         """Touch from a pose on the hemisphere as `touch` does, in one step.
 
-        The same contact by a tenth of the work, to train on: nothing guards it, and of
+        The same contact by less work (a third of that of a quick guard), to train on:
+        nothing guards it, and of
         the arm's faults there are none. Its force is exactly that of the guard.
         """
         how = guard or Guard()
@@ -211,7 +212,7 @@ def explore_to_learn(
         See `put_down`; both are to be as where the objects will be met.
     guarded : bool, default=True
         Whether the arm feels its way, step by step. Else each touch is made in one
-        step (`Stand.touch_at_once`): the same contacts by a seventh of the work.
+        step (`Stand.touch_at_once`): the same contacts by less work.
     folder : path, optional
         Where to keep the attempts, an episode for each time an object is put down:
         what was begun there goes on. Of one that holds more touches, the first are

@@ -268,12 +268,16 @@ def _topic(participant: Any, name: str, kind: str) -> Any:
 def _quality(*, reliable: bool, keep_last: bool = False) -> Any:
     policy = needed("cyclonedds.qos", "ros", WHAT).Policy
     wait_ns = 100_000_000
+    kept = policy.History.KeepLast(DEPTH)
+    # What a reader gets that comes later is a history of its own, of one by default.
+    for_late = [policy.DurabilityService(0, kept, -1, -1, -1)] if keep_last else []
     return needed("cyclonedds.qos", "ros", WHAT).Qos(
         policy.Reliability.Reliable(wait_ns)
         if reliable
         else policy.Reliability.BestEffort,
         policy.Durability.TransientLocal if keep_last else policy.Durability.Volatile,
-        policy.History.KeepLast(DEPTH),
+        kept,
+        *for_late,
         policy.DataRepresentation(use_cdrv0_representation=True),
     )
 

@@ -186,7 +186,8 @@ class PressureArray:
                 f"{self.sensing_mm}. Windows of neighbouring taxels cannot overlap."
             )
         side = max(self.rows, self.cols)
-        steps = side * max(2.0, self.pitch_mm / self.grid_mm)
+        cells = self.pitch_mm / self.grid_mm  # maybe too many to be counted
+        steps = side * (self.cells_per_pitch if cells < _MOST_STEPS else cells)
         if steps > _MOST_STEPS:
             raise ValueError(
                 f"pitch_mm must make at most {_MOST_STEPS} steps of grid_mm "
@@ -226,7 +227,7 @@ class PressureArray:
     ) -> NDArray[np.uint8]:
         """Press a part once and return the image, shape (rows, cols), 0..255.
 
-        `part` is a `Part`, or the name or number of one of `PARTS`; the other
+        `part` is a `Part`, or the name or number of one of the twelve; the other
         parameters are those of `Press`. `random_state` (an int, a generator or
         None) draws the unevenness and the noise.
         """

@@ -262,7 +262,7 @@ def simulate_presses(
     Parameters
     ----------
     parts : Part, str, int, or a list of them, optional
-        Parts, or names or numbers among `PARTS`, which are the default.
+        Parts, or names or numbers of the twelve, which are the default.
     n_presses : int, default=20
         Presses of each part (20 in Liu et al. 2014).
     n_sessions : int, default=1

@@ -309,8 +309,9 @@ class LiveEpisode:
         }
         unknown = {"position_mm": (np.nan,) * 3, "direction": (np.nan,) * 3}
         for name, value in {**unknown, "force_n": np.nan}.items():
-            if any(getattr(touch, name) for touch in touches):
-                about[name] = [getattr(touch, name) or value for touch in touches]
+            values = [getattr(touch, name) for touch in touches]
+            if any(known is not None for known in values):
+                about[name] = [value if known is None else known for known in values]
         images = np.stack([image for _, image in pictured])
         return Touches(images, **about, channels=self.channels)
 

@@ -7,10 +7,12 @@ Under a prefix such as `/palpate`:
 - `decision`, `std_msgs/msg/String`: a name, "unknown", or nothing while undecided.
 - `command` (in) and `answer`, `std_msgs/msg/String`: `start`, `object NAME`, `teach
   [NAME]`, `stop`, `confirm [NAME]`, `learn`, `session`; "done: ..." or "refused: ...".
+  With a number before it, as in `#7 start`, a command gets an answer with that number.
 - Services `start`, `stop`, `confirm`, `learn`, `session` (`std_srvs/srv/Trigger`) and
   `teach` (`std_srvs/srv/SetBool`; true is `teach`, false `stop`).
 """
 
+import re
 import sys
 import threading
 import time
@@ -30,6 +32,7 @@ from ..sensors.ros import (
 from ..sensors.ros import read_message as read
 from ..sensors.ros import write_message as write
 from ._sensor_watch import Event
+from ._teaching import teachable_name
 
 if TYPE_CHECKING:
     from ._session import LiveSession
@@ -39,6 +42,8 @@ _LONGEST = 200  # characters of a command
 _COMMANDS = ("start", "object", "teach", "stop", "confirm", "learn", "session")
 _SERVICES = {name: TRIGGER for name in _COMMANDS if name != "object"}
 _SERVICES["teach"] = SET_BOOL
+_NAMING = ("object", "teach", "confirm")  # these may be followed by a name
+_NUMBERED = re.compile(r"(#\d+) +(.*)", re.DOTALL)
 
 
 class RosPublisher:
@@ -50,8 +55,9 @@ class RosPublisher:
     def __init__(self, session: "LiveSession", address: str) -> None:
         place = ros_place(address)
         self.prefix = place.prefix
-        self._session, self._object, self._warned = session, "", False
-        self._learning = False
+        self._session, self._object = session, ""
+        self._warned = self._failed = False
+        self._learning, self._in_use = False, threading.Lock()
         self._node = node = place.open_node()
         at = self.prefix.rstrip("/")
         self._belief = node.publish(f"{at}/belief", CLASSIFICATION)
@@ -72,17 +78,34 @@ class RosPublisher:
         self._session.listeners.discard(self.take)
         self._stop.set()
         self._thread.join(timeout=5.0)
-        # DDS ends what nobody holds any more.
-        del self._belief, self._decision, self._answer
-        del self._commands, self._services
-        self._node.close()
+        with self._in_use:  # by a touch that is published now
+            # DDS ends what nobody holds any more.
+            del self._belief, self._decision, self._answer
+            del self._commands, self._services
+            self._node.close()
 
     def take(self, event: Event) -> None:
-        """Publish what a "touch" of the session tells, and how learning ended."""
-        if event.kind == "state":
-            self._follow_learning(event.values)
-        if event.kind != "touch":
-            return
+        """Publish what a "touch" of the session tells, and how learning ended.
+
+        What cannot be written is told once; the next touch is tried again.
+        """
+        with self._in_use:
+            if self._stop.is_set():
+                return
+            try:
+                if event.kind == "state":
+                    self._follow_learning(event.values)
+                if event.kind == "touch":
+                    self._publish(event)
+            except Exception as error:  # of the network: any kind
+                if not self._failed:
+                    print(
+                        f"A touch was not published to {self.prefix}: {error!r}.",
+                        file=sys.stderr,
+                    )
+                self._failed = True
+
+    def _publish(self, event: Event) -> None:
         episode = event.values["episode"]
         (touch,) = episode["touches"]
         shares = dict(touch["posterior"])
@@ -109,8 +132,11 @@ class RosPublisher:
             raise ValueError(
                 f"command must be one of {', '.join(_COMMANDS)}, got {command!r}."
             )
+        if name and command not in _NAMING:
+            raise ValueError(f"{command} must stand alone, got {name!r} after it.")
         if command == "object":
-            self._object = name
+            self._object = teachable_name(name) if name else ""
+            name = self._object
             return f"teach and confirm mean {name or 'what is decided'} now."
         if command == "start":
             session.begin_episode()
@@ -179,14 +205,15 @@ class RosPublisher:
                     text = str(read(raw, STRING).data)
                 except Exception:  # rosbags raises many kinds on damaged bytes
                     continue
-                done, sentence = self.ask(text)
-                self._say(done, sentence)
+                numbered = _NUMBERED.fullmatch(text)
+                number, command = numbered.groups() if numbered else ("", text)
+                self._say(*self.ask(command), number)
             for service in self._services:
                 service.poll()
             self._warn()
 
-    def _say(self, done: bool, sentence: str) -> None:
-        answer = f"{'done' if done else 'refused'}: {sentence}"
+    def _say(self, done: bool, sentence: str, number: str = "") -> None:
+        answer = f"{number} {'done' if done else 'refused'}: {sentence}".lstrip()
         self._answer.write_bytes(write(text_message(answer), STRING))
 
     def _follow_learning(self, state: dict[str, Any]) -> None:

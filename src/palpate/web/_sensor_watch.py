@@ -8,6 +8,7 @@ thread they happen in.
 import json
 import math
 import queue
+import sys
 import threading
 import time
 from collections import deque
@@ -102,8 +103,9 @@ class Listeners:
                 continue
             try:
                 listener(event)
-            except Exception:  # one broken listener must not stop the sensor
+            except Exception as error:  # one broken listener must not stop the sensor
                 self.discard(listener)
+                print(f"A listener is left out after {error!r}.", file=sys.stderr)
 
 
 class Health:
