@@ -307,9 +307,14 @@ class TouchLibrary:
         n_rows, n_cols, *n_channels = recording.image_shape
         return TouchRow(
             row.key.hex(),
-            *(cells[name] for name in ("object", "category", "session", "episode")),
+            cells["object"],
+            cells["category"],
+            cells["session"],
+            cells["episode"],
             recording.sensor if sensor is None else sensor,
-            *(cells[name] for name in ("order", "time_s", "force_n")),
+            cells["order"],
+            cells["time_s"],
+            cells["force_n"],
             n_rows,
             n_cols,
             n_channels[0] if n_channels else None,
