@@ -16,6 +16,8 @@ from palpate.classifiers import (
     TouchClassifier,
 )
 
+*_, RehearsedMachine = EncodingPool.MACHINES
+
 
 @pytest.fixture
 def problem(rng):
@@ -112,6 +114,18 @@ def test_refit_keeps_weights_and_widths(problem):
     assert pool.left_out_log_likelihood().shape == (60, 2)
     with pytest.raises(ValueError, match="5 features"):
         pool.refit(X[without_pen, :4], labels[without_pen], groups=groups[without_pen])
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_a_touch_whose_class_was_left_out_whole_is_no_gap_of_a_rehearsed_one(share):
+    class Machine:
+        def left_out_log_likelihood(self):
+            return np.array([[-np.inf, -np.inf], [0.0, -1.0]])
+
+    machine = RehearsedMachine(Machine(), Machine(), np.eye(2), share)
+    rows = machine.left_out_log_likelihood()
+    assert_allclose(rows[0], np.log([0.5, 0.5]))
+    assert_allclose(rows[1], log_softmax([0.0, -1.0]))
 
 
 @pytest.mark.parametrize(

@@ -98,10 +98,14 @@ class RehearsedMachine(BayesRule):
 
     def left_out_log_likelihood(self) -> Floats:
         """Return `log_likelihood` of training touches, their groups left out."""
-        rehearsed = log_softmax(self.rehearsed.left_out_log_likelihood())
-        if self.share == 1:
-            return rehearsed
-        return self._both(log_softmax(self.plain.left_out_log_likelihood()), rehearsed)
+        machines = (
+            (self.rehearsed,) if self.share == 1 else (self.plain, self.rehearsed)
+        )
+        # Of a group that is a whole class all is minus infinity: it tells nothing.
+        rows = [
+            log_softmax(without_gaps(m.left_out_log_likelihood())) for m in machines
+        ]
+        return rows[0] if self.share == 1 else self._both(*rows)
 
     @property
     def left_out_rows(self) -> Indices:
