@@ -309,9 +309,9 @@ class LiveEpisode:
         }
         unknown = {"position_mm": (np.nan,) * 3, "direction": (np.nan,) * 3}
         for name, value in {**unknown, "force_n": np.nan}.items():
-            values = [getattr(touch, name) for touch in touches]
-            if any(known is not None for known in values):
-                about[name] = [value if known is None else known for known in values]
+            measured = [getattr(touch, name) for touch in touches]
+            if any(number is not None for number in measured):
+                about[name] = [value if m is None else m for m in measured]
         images = np.stack([image for _, image in pictured])
         return Touches(images, **about, channels=self.channels)
 
