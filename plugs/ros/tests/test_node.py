@@ -163,6 +163,8 @@ def test_the_package_is_of_python_3_10_and_takes_no_numpy():
 
 @pytest.mark.skipif(not find_spec("cyclonedds"), reason="no cyclonedds")
 def test_an_answer_to_another_command_is_not_waited_for(ros, monkeypatch):
+    for name, value in variables().items():
+        monkeypatch.setenv(name, value)
     monkeypatch.setattr(StandIn, "parameters", PARAMETERS)
     monkeypatch.setattr(PalpateProcess, "start", lambda process: None)
     node = ros.PalpateNode()
