@@ -662,7 +662,7 @@ def test_what_is_withdrawn_need_not_be_less_probable_than_another(start, model):
     episode.add(touch_evidence(model, 5, 1, 5, 5, 5))
     assert (episode.decision, episode.withdrawn) == (
         None,
-        ["cup was withdrawn after touch 2, when only 28 % were left of it"],
+        ["cup was withdrawn after touch 2, when it had 28 % left"],
     )
 
 

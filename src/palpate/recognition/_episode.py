@@ -149,7 +149,7 @@ class Episode:
             leader = self._leader(before)
             why = f"{_in_words(leader)} was more probable"
             if leader == before.name:
-                why = f"only {share_of(self.belief.probability(before))} were left of it"
+                why = f"it had {share_of(self.belief.probability(before))} left"
             self.withdrawn.append(
                 f"{_in_words(before.name)} was withdrawn after touch "
                 f"{len(self.touches)}, when {why}"
