@@ -17,6 +17,7 @@ import typer
 import palpate as package
 from palpate import Touches
 from palpate.cli import app
+from palpate.cli._output import table
 from palpate.cli.recognise import outcome_lines, print_episode
 from palpate.library import TouchLibrary
 from palpate.recognition import Belief, ObjectRecogniser
@@ -341,6 +342,12 @@ def test_doctor_keeps_names_whole_in_a_narrow_terminal(palpate, monkeypatch, wid
     names = {line.strip("│┃").split("│")[0].strip() for line in lines}
     assert {"opencv-python-headless", "cv2-enumerate-cameras"} <= names
     assert lines[-1] == "Try it: palpate demo"
+
+
+def test_figures_in_a_pipe_are_not_broken(capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    table("", ["touches", *map(str, range(30))], [["right", *["100.0"] * 30]])
+    assert capsys.readouterr().out.count(" 100.0 ") == 30
 
 
 @pytest.mark.parametrize("width", [60, 80])

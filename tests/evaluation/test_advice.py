@@ -56,7 +56,8 @@ def figures_of(accuracy=(0.5, 0.6), **more):
         "sessions": {"asked": 2},
         **NEW,
     }
-    return usual | more
+    figures = usual | more
+    return {"elsewhere": figures["split"] in ("session", "subject")} | figures
 
 
 NEVER_CONFUSED = np.eye(4)
@@ -83,7 +84,9 @@ def advised(trial=None, **figures):
 
 @pytest.mark.parametrize(("share", "is_said"), [(0.09, False), (0.1, True)])
 def test_a_tenth_without_contact_is_worth_saying(share, is_said):
-    assert ("without contact" in advised(flags={"no contact": share})) == is_said
+    assert (
+        "are without contact: press" in advised(flags={"no contact": share})
+    ) == is_said
 
 
 @pytest.mark.parametrize(
@@ -95,6 +98,13 @@ def test_fewer_than_twenty_touches_are_few(n_taught, best, is_said):
     few = ", ".join(f"{name} ({n_taught})" for name in "abcd")
     sentence = f"Taught with few touches of {few}: 20 are a start, 60 are good."
     assert (sentence in advice.split("\n")) == is_said
+
+
+def test_few_touches_of_an_object_that_the_first_fold_did_not_meet_are_few():
+    trials = [trial_of(20, np.eye(3), "abc"), trial_of(n_taught=9)]
+    assert recommendations(figures_of((0.9, 0.9)), trials) == [
+        "Taught with few touches of d (9): 20 are a start, 60 are good."
+    ]
 
 
 @pytest.mark.parametrize(
@@ -252,6 +262,10 @@ def test_advice_on_mountings_needs_a_split_by_session_or_person(split):
     assert advice.startswith("Another mounting costs accuracy")
     assert "\n" not in advice
     assert "one session" in advised(**figures)
+    # Of several folds all must be elsewhere, not the first alone.
+    trial = trial_of()
+    trial.fold.elsewhere = True
+    assert "one session" in advised(trial, **figures)
 
 
 def test_objects_with_few_touches_are_named_alike_by_check_learn_and_evaluate():

@@ -50,6 +50,24 @@ def test_objects_met_in_no_other_session_are_left_out_and_counted():
     assert entry["n_asked"] == 40
 
 
+def test_an_object_alone_in_its_category_is_taught_and_never_asked():
+    touches = drawn(category=np.repeat(["x", "x", "y"], 20))
+    options = {"recognisers": ["3-NN"], "protocols": ["categories"]}
+    result = benchmark({"set": touches}, **options)
+    assert "set, categories: never asked (1): c." in result.summary()
+
+
+def test_touches_of_nan_alone_are_left_out_and_named():
+    images = np.random.default_rng(0).normal(size=(60, 3, 8))
+    images[3] = np.nan
+    options = {"recognisers": ["default", "3-NN"], "protocols": ["halves"]}
+    result = benchmark({"set": drawn(images)}, **options)
+    (entry,), (skip,) = result["benchmark"], result["skipped"]
+    assert entry["n_touches"] == 59
+    assert [row["reason"] for row in entry["rows"]] == [None, None]
+    assert skip["reason"] == "left out 1 touch of NaN alone."
+
+
 def test_the_protocol_of_categories_recognises_them():
     objects = np.repeat(["a1", "a2", "b1", "b2"], 8)
     images = np.random.default_rng(0).normal(size=(32, 3, 8))
@@ -204,13 +222,20 @@ def test_the_page_holds_every_table_and_loads_nothing(learnt, tmp_path):
         ({"protocols": ["thirds"]}, "protocols must be one of 'subjects'"),
         ({"label": "size"}, "label must be one of 'object', 'category'"),
         ({"touches": 5}, r"touches must hold numbers of touches, .* got 5"),
-        ({"repeats": 0}, "repeats must be at least 1, got 0"),
+        ({"touches": (1, 0)}, "^touches must be at least 1, got 0"),
+        ({"repeats": 0}, "^repeats must be at least 1, got 0"),
         ({"seed": -1}, "seed must be at least 0, got -1"),
     ],
 )
 def test_arguments_that_cannot_be_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         benchmark({"set": drawn()}, **arguments)
+
+
+@pytest.mark.parametrize("archives", [[], {}])
+def test_no_archive_is_refused(archives):
+    with pytest.raises(ValueError, match="archives must hold one archive or more"):
+        benchmark(archives)
 
 
 def test_an_empty_folder_names_the_fix(tmp_path):

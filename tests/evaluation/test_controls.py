@@ -45,6 +45,15 @@ def test_touches_like_the_frame_of_no_contact_are_found(colour):
     assert without_contact(colour).tolist() == [False, False, True, False, False]
 
 
+@pytest.mark.parametrize("level", [0.0, 0.5])
+def test_touches_that_are_an_even_frame_are_without_contact(rng, level):
+    images = rng.random((5, 4, 4))
+    images[1] = level
+    frame = np.full((4, 4), level)
+    touches = Touches(images, geometry="array", no_contact=frame)
+    assert without_contact(touches).tolist() == [False, True, False, False, False]
+
+
 def test_rims_are_found_in_the_mean_over_channels(monkeypatch, disc):
     grey = Touches(np.stack([disc] * 3), geometry="dome")
     beside = np.roll(disc, 20, axis=1)[..., np.newaxis] * [-1, 0, 1]  # of mean 0

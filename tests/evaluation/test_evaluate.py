@@ -19,6 +19,7 @@ from palpate.evaluation import (
     write_report,
 )
 from palpate.evaluation._report import whole_ticks
+from palpate.evaluation._trial import confusion_of
 
 from .conftest import drawn, often_idle
 
@@ -75,9 +76,11 @@ def test_controls_without_their_cause_are_absent(result):
 @pytest.mark.parametrize("name", ["an_idle_one", "the_idle_one"])
 def test_touches_that_say_nothing_name_nothing(name):
     """Of equal beliefs the first in the alphabet is no answer."""
-    figures, _ = evaluate(often_idle(0, name), often_idle(1, name), plan=PLAN)
+    figures, trials = evaluate(often_idle(0, name), often_idle(1, name), plan=PLAN)
     assert figures["flags"]["no contact"] == 5 / 32
     assert figures["controls"]["no contact"] == {"1": 0, "3": 0}
+    # Nor are they mistakes.
+    np.testing.assert_array_equal(confusion_of(trials, 1)[1], np.eye(2))
 
 
 def test_decisions_are_right_and_use_few_touches(result):
@@ -152,10 +155,11 @@ def test_numbers_of_touches_that_no_object_has_are_named():
 
 
 def test_numbers_of_touches_in_any_order_give_the_same_figures(result):
-    plan = replace(PLAN, touches=(6, 1, 3))
+    plan = replace(PLAN, touches=(6, 1, 3, 6))
     figures, _ = evaluate(drawn(0, NAMES), drawn(1, NAMES), plan=plan)
     assert [*figures["accuracy"].items()] == [*result[0]["accuracy"].items()]
     assert "right after 6 touches" in figures["verdict"]
+    assert [*figures["controls"]["brightness"]] == ["1", "3", "6"]
 
 
 def test_shares_above_the_learnt_limit_are_of_both_kinds(result):
@@ -231,6 +235,8 @@ def test_of_unseen_objects_categories_are_recognised(tmp_path, capsys):
     assert figures["label"] == "category"
     assert figures["n_folds"] == len(trials) == 2
     assert figures["n_labels"] == 2
+    alone = type(figures)(figures | {"left_out": ["key"]}).summary()
+    assert "Never asked, alone in their category: 1 (key)." in alone
     page = write_report(tmp_path / "r.html", figures, trials).read_text()
     assert re.search(r"<b>(mug|pen)_[ab]</b> \(\1\) ", page)
     answer(False, figures, *figures.summary())

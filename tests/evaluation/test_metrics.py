@@ -18,6 +18,15 @@ def test_bins_have_equal_mass():
     assert calibration_error(confidence[mixed], hit[mixed]) == pytest.approx(error)
 
 
+def test_which_of_equal_beliefs_come_first_does_not_matter(rng):
+    hit = np.repeat([1, 0], 10)
+    assert calibration_error([0.5] * 20, hit) == 0
+    confidence = np.repeat([0.6, 0.9], 10)
+    mixed = rng.permutation(20)
+    error = calibration_error(confidence, hit)
+    assert calibration_error(confidence[mixed], hit[mixed]) == pytest.approx(error)
+
+
 def test_roc_area_agrees_with_scikit_learn(rng):
     known_scores, unknown_scores = rng.integers(0, 9, 50), rng.integers(3, 12, 40)
     truth = np.repeat([0, 1], [50, 40])

@@ -48,6 +48,34 @@ def test_each_session_or_person_is_a_fold(week, split):
     assert figures["n_test_touches"] == 32 + 24
 
 
+def test_figures_are_of_all_folds_and_their_labels(tmp_path):
+    """Without Monday two objects are taught, without another day all four."""
+    days = [visited("mon", 6, 0, "abcd"), visited("tue", 6, 1, "a")]
+    touches = Touches.concatenate([*days, visited("wed", 8, 2, "ab")])
+    kinds = ["x" if name in "ab" else "y" for name in touches.object]
+    plan = Plan(preset="liu2014", touches=(1, 7), orders=2)
+    figures, trials = evaluate(
+        touches.with_columns(category=kinds), split="session", plan=plan
+    )
+    assert [len(trial.recogniser.classes_) for trial in trials] == [2, 4, 4]
+    assert figures["n_labels"] == 4
+    assert figures["chance"] == pytest.approx(np.mean([1 / 2, 1 / 4, 1 / 4]))
+    # One fold has seven touches of an object: between folds there is no spread.
+    assert figures["accuracy_sd"]["7"] is None
+    per_fold = []
+    for trial in trials:
+        names = trial.recogniser.classes_
+        best = [
+            np.isin(names[b.argmax(axis=1)], ["a", "b"])
+            for b in trial.episodes.after(1)[1]
+        ]
+        per_fold.append(np.mean([right.mean() for right in best]))
+    assert per_fold[0] == 1 > min(per_fold)
+    assert figures["category_accuracy"]["1"] == pytest.approx(np.mean(per_fold))
+    page = write_report(tmp_path / "r.html", figures, trials).read_text()
+    assert "<div class=name>c</div>" in page
+
+
 def test_a_session_of_few_touches_leaves_the_figures_of_the_others(week):
     """As long as one session has as many touches as are asked for."""
     figures, _ = evaluate(week, split="session", plan=Plan(touches=(7,), orders=2))
@@ -172,6 +200,12 @@ def test_confirmed_touches_are_the_first_of_each_object_and_not_tested(tmp_path)
     theirs = [trial.taught(row) for row in range(60, 70)]
     assert [str(touch.object[0]) for touch in theirs] == list("aabbccddee")
     assert [int(touch.order[0]) for touch in theirs] == [0, 1] * 5
+    assert not figures["notes"]
+    fewer = test[(test.object != "a") | (test.order < 2)]
+    figures, _ = evaluate(train, fewer, plan=plan)
+    assert figures["notes"] == [
+        "Not asked, as all their test touches were confirmed: a."
+    ]
     with pytest.raises(ValueError, match="'confirm:5', which takes all"):
         evaluate(train, test, plan=Plan(touches=(1,), remount="confirm:5"))
 

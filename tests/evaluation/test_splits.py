@@ -50,6 +50,7 @@ def test_unseen_objects_leave_one_of_each_category_out(recordings):
     fewer = recordings[recordings.object != "pen_b"]
     folds = split_touches(fewer, "unseen-objects")
     assert [sorted(set(f.test.object)) for f in folds] == [["mug_a"], ["mug_b"]]
+    assert [fold.left_out for fold in folds] == [("pen_a",)] * 2
 
 
 def test_as_many_touches_of_each_object_are_drawn_as_asked_for(recordings):
@@ -176,6 +177,9 @@ def test_touches_of_one_press_stay_on_one_side(name):
             sides = [set(is_test[presses == press].tolist()) for press in range(10)]
             assert all(len(side) == 1 for side in sides)
             assert is_test.any()
+    # What is of no press is taught or asked by itself.
+    ((_, half),) = PROTOCOLS["halves"](row_of(4, press=[np.nan] * 4), 1, 0)
+    assert half.tolist() == [False, False, True, True]
 
 
 def test_the_same_seed_draws_the_same_folds():

@@ -256,6 +256,20 @@ def test_a_category_has_a_probability_of_its_own(start):
     assert posed(start(), *TORN).decide(0.02, level="category") is None
 
 
+def test_a_new_thing_of_a_known_category_is_of_that_category(start, model):
+    # One encoding is sure of the cup, the other of the mug: of vessels both are.
+    cup, mug = (0.001, 0.996, *[0.001] * 3), (0.001, 0.001, 0.996, *[0.001] * 2)
+    torn = touch_evidence(model, *cup)._replace(by_encoding=np.log([[cup, mug]]))
+    episode = Episode(start(strangers=0.3), error=0.05, level="category")
+    assert episode.add(torn) == "a vessel, 98 % after 1 touch; which one I cannot tell"
+    assert episode.belief.unknown > 0.7
+    assert not episode.in_doubt
+    # Too little for the name is not enough for none.
+    belief = episode.belief
+    assert belief.decide(0.01, refusal=0.3, level="category") is None
+    assert belief.decide(0.01, refusal=0.3, level="any") == ("unknown", "unknown")
+
+
 def test_an_object_that_is_called_as_a_category_counts_with_it(start):
     kinds = {"categories": np.array(["", "ball", "ball", "tool", "tool"])}
     belief = posed(start(model_parts=kinds), 0.2, 0.6, 0.15, 0.04, 0.01)
@@ -322,6 +336,7 @@ def test_shares_asked_for_are_between_a_millionth_and_a_half(start):
         ({"costs": {"mug": {"mug": 1.0}}}, ValueError, "0 for the right name"),
         ({"costs": 5}, TypeError, "costs must be a mapping"),
         ({"costs": {"mug": 5}}, TypeError, "costs of 'mug'"),
+        ({"costs": {}, "level": "category"}, ValueError, "costs must be left out"),
     ],
 )
 def test_what_cannot_be_asked_is_refused_before_the_first_touch(
@@ -638,6 +653,17 @@ def test_a_decision_stays_until_it_is_as_improbable_as_it_was_probable(start, mo
     assert episode.withdrawn == [
         "cup was withdrawn after touch 3, when mug was more probable"
     ]
+
+
+def test_what_is_withdrawn_need_not_be_less_probable_than_another(start, model):
+    episode = Episode(start(), error=0.4)
+    assert episode.add(touch_evidence(model, 1, 8, 1, 1, 1)).startswith("cup")
+    # 5 : 8 : 5 : 5 : 5, the cup has 0.29.
+    episode.add(touch_evidence(model, 5, 1, 5, 5, 5))
+    assert (episode.decision, episode.withdrawn) == (
+        None,
+        ["cup was withdrawn after touch 2, when it had 28 % left"],
+    )
 
 
 def test_unknown_is_withdrawn_when_it_is_less_probable_than_its_refusal(start, model):

@@ -9,6 +9,7 @@ them into options and verbs of what was typed; what it does not know stays as it
 
 import json
 import math
+import os
 import re
 import shutil
 import sys
@@ -44,6 +45,7 @@ _ROOT: list[typer.Typer] = []  # the command, once it is put together
 
 BAR_WIDTH = 24
 OBJECTS_SHOWN = 3
+_PIPE_WIDTH = 10_000
 
 
 def answer(as_json: bool, values: dict[str, Any], *parts: object) -> None:
@@ -137,7 +139,10 @@ def table(
         drawn.add_column(column, justify=side, no_wrap=kept, overflow="fold")
     for row in rows:
         drawn.add_row(*map(printable, row))
-    Console(markup=False, emoji=False).print(drawn)
+    # In a pipe a line is as long as it is: folded, figures break amid their digits.
+    is_sized = sys.stdout.isatty() or "COLUMNS" in os.environ
+    width = None if is_sized or text else _PIPE_WIDTH
+    Console(markup=False, emoji=False, width=width).print(drawn)
 
 
 def counted(number: int, what: str = "touch", many: str = "") -> str:

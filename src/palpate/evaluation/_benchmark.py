@@ -14,6 +14,7 @@ from sklearn.base import clone
 
 from .._checks import check_count, check_option
 from .._durable import write_text
+from .._numbers import n_touches_of
 from .._page import check_report_path, html_table, report_page, worded
 from .._parallel import in_parallel
 from .._types import Array, Bools, Floats, Label, PresetName
@@ -129,17 +130,28 @@ def benchmark(
         raise ValueError(
             f"touches must hold numbers of touches, such as (1, 5), got {touches!r}."
         )
-    for k in (repeats, *touches):
-        check_count("touches and repeats", k)
+    for k in touches:
+        check_count("touches", k)
+    check_count("repeats", repeats)
     check_count("seed", seed, at_least=0)
     entries: list[dict[str, Any]] = []
     skipped: list[dict[str, Any]] = []
-    for name, source in _sets(archives).items():
+    sets = _sets(archives)
+    if not sets:
+        raise ValueError(
+            "archives must hold one archive or more, got none. Name a folder."
+        )
+    for name, source in sets.items():
         progress(f"{name}: reading")
         skip = {"archive": name, "protocol": None}
         try:
             touch_set = source if isinstance(source, Touches) else Touches.load(source)
             column_of(touch_set, "object")
+            empty = np.isnan(touch_set.images).reshape(len(touch_set), -1).all(axis=1)
+            if empty.any():
+                reason = f"left out {n_touches_of(int(empty.sum()))} of NaN alone."
+                skipped.append({**skip, "reason": reason})
+                touch_set = touch_set[~empty]
         except Exception as error:
             skipped.append({**skip, "reason": _reason(error)})
             continue
@@ -194,7 +206,7 @@ def _verdicts(result: dict[str, Any]) -> Iterator[str]:
             )
         if entry["left_out"]:
             names = ", ".join(entry["left_out"])
-            yield f"{where}: no other fold teaches {len(entry['left_out'])}: {names}."
+            yield f"{where}: never asked ({len(entry['left_out'])}): {names}."
         for row in entry["rows"]:
             if row["reason"] is not None:
                 yield f"{where}: no {row['recogniser']}: {row['reason']}"

@@ -86,8 +86,12 @@ def without_contact(touches: Touches) -> Bools | None:
     if frame is None:
         return None
     idle = np.nan_to_num(np.asarray(frame, dtype=np.float64))
-    blocks = map(np.nan_to_num, _blocks(touches.images))
-    unlike = 1 - np.concatenate([correlation(block, idle) for block in blocks])
+    parts = []
+    for block in map(np.nan_to_num, _blocks(touches.images)):
+        # Nothing correlates with an even frame, not even that frame.
+        other = (block != idle.ravel()).any(axis=1)
+        parts.append(np.where(other, 1 - correlation(block, idle), 0.0))
+    unlike = np.concatenate(parts)
     limit = min(1 - NO_CONTACT_CORRELATION, _QUIET * float(np.median(unlike)))
     return np.asarray(unlike < limit)
 

@@ -60,10 +60,12 @@ class Episodes:
         n_labels = beliefs[0].shape[-1]
         confusion = np.zeros((n_labels, n_labels))
         named = [log_posterior.argmax(axis=1) for log_posterior in beliefs]
-        for column, answers in zip(truth, named, strict=True):
-            if column >= 0:
-                counts = np.bincount(answers, minlength=n_labels)
-                confusion[column] += counts / len(answers)
+        for column, answers, rows in zip(truth, named, beliefs, strict=True):
+            # Of equal beliefs the first label is no answer.
+            informative = rows.max(axis=1) > rows.min(axis=1)
+            if column >= 0 and informative.any():
+                counts = np.bincount(answers[informative], minlength=n_labels)
+                confusion[column] += counts / informative.sum()
         column_of = np.repeat(truth, [len(b) for b in beliefs])
         everything, best = np.concatenate(beliefs), np.concatenate(named)
         true_log = everything[np.arange(len(best)), column_of]
@@ -116,7 +118,8 @@ class Scores:
         Largest posterior, whether it was right, and negative log posterior of the
         truth (nats), over all episodes of all objects.
     confusion : ndarray of shape (n_labels, n_labels)
-        Share of each answer (columns) per true label (rows).
+        Share of each answer (columns) per true label (rows), of episodes whose touches
+        said anything.
     """
 
     accuracy: Floats

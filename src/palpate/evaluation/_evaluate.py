@@ -4,7 +4,7 @@
 """
 
 import time
-from collections import Counter
+from collections import ChainMap, Counter
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
@@ -99,8 +99,9 @@ def evaluate(
     -------
     figures : dict
         Plain values, ready for JSON. `accuracy_sd` is the spread over objects,
-        over folds where there are several. `summary()` yields what they say to people:
-        sentences, and tables as (title, columns, lines of text).
+        over folds where there are several (None where only one has so many touches).
+        `summary()` yields what they say to people: sentences, and tables as (title,
+        columns, lines of text).
     trials : list of Trial
         One per fold, for `write_report`.
 
@@ -450,8 +451,8 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
     idle = figures["flags"].get("no contact", 0.0)
     if idle >= _IDLE_SHARE:
         yield (
-            f"{100 * idle:.0f} % of the test touches are without contact, and not "
-            "counted: press until the picture changes, or record with a higher `begin`."
+            f"{100 * idle:.0f} % of the test touches are without contact: press until "
+            "the picture changes, or record with a higher `begin`."
         )
     nuisance = best > 1.5 * figures["chance"] and as_good_alone(figures)
     if nuisance and not all(map(_all_met_elsewhere, trials)):
@@ -462,10 +463,10 @@ def _all(figures: dict[str, Any], trials: Sequence[Trial]) -> Iterator[str]:
             else "mount the sensor anew in between, put each mounting into a folder of "
             "its own (object/session), and evaluate with `split=session`."
         )
-    elsewhere = figures["split"] in VISITS or trials[0].fold.elsewhere
+    elsewhere = figures["elsewhere"]
     yield from _of_unknown(figures, elsewhere)
-    few = few_touches(Counter(trials[0].recogniser.memory_.labels.tolist()))
-    if few:
+    counts = [dict(Counter(t.recogniser.memory_.labels.tolist())) for t in trials]
+    if few := few_touches(dict(ChainMap(*counts))):
         yield f"Taught with {few}."
     confirming = _confirming(figures, trials[0], measured=elsewhere)
     if elsewhere and best < _GOOD and figures["remount"] == "none":

@@ -33,7 +33,7 @@ from ..touches import Touches
 from ._comparisons import as_good_alone
 from ._episodes import Decisions, answers_of
 from ._splits import VISITS
-from ._trial import Trial, calibration_bins, confusion_of, scored, spread
+from ._trial import Trial, calibration_bins, confusion_of, labels_of, scored, spread
 
 EXAMPLES = 6
 SIDE = 120
@@ -93,7 +93,10 @@ class Figures(dict[str, Any]):
             yield other_day
         if gone := self["left_out"]:
             names = ", ".join(gone[:5]) + (", ..." if len(gone) > 5 else "")
-            yield f"Left out, met in no other {self['split']}: {len(gone)} ({names})."
+            why = f"Left out, met in no other {self['split']}"
+            if self["split"] not in VISITS:
+                why = "Never asked, alone in their category"
+            yield f"{why}: {len(gone)} ({names})."
         if todo := self["recommendations"]:
             yield "What to do now:"
             yield from (f"- {sentence}" for sentence in todo)
@@ -141,7 +144,6 @@ def write_report(
 def _ends(figures: dict[str, Any]) -> str:
     """Return how many episodes ended how, a line each: that fits a phone."""
     title, columns, lines = _decision_table(figures)
-    columns[-1] = "touches on average"
     head, *rows = zip(columns, *lines, strict=True)
     return html_table(title, head, rows)
 
@@ -189,11 +191,11 @@ def _decision_table(figures: dict[str, Any]) -> TextTable:
         f"Stopping at an error of {decision['error']:g}, a refusal of "
         f"{decision['refusal']:g}, in {decision['n_episodes']} episodes"
     )
-    ends = ["named right", "named wrong", "called unknown", "undecided", "touches"]
+    ends = ["named right", "named wrong", "called unknown", "undecided"]
     lines = [["known", *_ended(decision)]]
     if "unknown_decision" in figures:
         lines.append(["strangers", *_ended(figures["unknown_decision"])])
-    return title, ["objects", *ends], lines
+    return title, ["objects", *ends, "touches on average"], lines
 
 
 def _ended(decision: dict[str, Any]) -> list[str]:
@@ -470,11 +472,10 @@ def _pair(trials: Sequence[Trial], true: str, taken_for: str, share: float) -> s
 
 
 def _examples(trials: Sequence[Trial]) -> str:
-    names = [str(name) for name in trials[0].recogniser.classes_]
     lines = "".join(
         f"<div class=line><div class=name>{escape(name)}</div>"
         f"<div class=touches>{_pictures(trials, name, EXAMPLES)}</div></div>"
-        for name in names
+        for name in labels_of(trials)
     )
     return f"<h2>Touches of each label</h2>{lines}"
 

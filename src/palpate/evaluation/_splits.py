@@ -102,8 +102,12 @@ def split_touches(touches: Touches, split: str, label: str = "object") -> list[F
     check_touches("touches", touches)
     objects = column_of(touches, "object")
     if split == "unseen-objects":
-        folds = _categories(touches, repeats=1, seed=0)
-        return [Fold(name, touches[~test], touches[test]) for name, test in folds]
+        masks = [*_categories(touches, repeats=1, seed=0)]
+        met = objects[np.any([test for _, test in masks], axis=0)]
+        left_out = tuple(map(str, np.setdiff1d(objects, met)))
+        return [
+            Fold(name, touches[~test], touches[test], left_out) for name, test in masks
+        ]
     if split in VISITS:
         parts, gone = protocol_folds(touches, f"{split}s", label, repeats=1, seed=0)
         left_out = tuple(gone)
@@ -311,7 +315,10 @@ def _codes(touches: Touches, *names: str) -> Indices:
     """Number the touches by what these columns hold together, where there are any."""
     codes = np.zeros(len(touches), dtype=np.intp)
     for name in filter(touches.columns.__contains__, names):
-        values, of_column = np.unique(touches.columns[name], return_inverse=True)
+        # What is no part of a press (NaN) is one by itself.
+        values, of_column = np.unique(
+            touches.columns[name], return_inverse=True, equal_nan=name not in PRESS
+        )
         codes = codes * len(values) + of_column.ravel()
         codes = np.unique(codes, return_inverse=True)[1]
     return codes

@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from statistics import mean
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,7 @@ class Plan:
     preset, label : str
         As for `ObjectRecogniser`.
     touches : tuple of int
-        Numbers of touches after which figures are given.
+        Numbers of touches after which figures are given, kept in order, each once.
     orders : int
         Random orders of each object's touches.
     train_touches : int or None
@@ -90,6 +91,7 @@ class Plan:
             )
         for k in self.touches:
             check_count("touches", k)
+        object.__setattr__(self, "touches", tuple(sorted({*self.touches})))
         self.remounting  # noqa: B018  It says what is wrong with `remount`.
 
     @property
@@ -163,20 +165,25 @@ def scored(trials: Sequence[Trial], k: int) -> list[Scores]:
     return [scores for t in trials if (scores := t.episodes.scores(k)) is not None]
 
 
+def labels_of(trials: Sequence[Trial]) -> list[str]:
+    """Return all labels that a fold has learnt, in order."""
+    return sorted({str(name) for t in trials for name in t.recogniser.classes_})
+
+
 def confusion_of(trials: Sequence[Trial], k: int) -> tuple[list[str], Floats]:
     """Return all labels, and the share of each answer per true label, k touches in.
 
     Rows are true labels, columns answers: means over the folds that ask about the
     label, zeros where none does. A fold may know fewer labels.
     """
-    names = np.unique(np.concatenate([t.recogniser.classes_ for t in trials]))
+    names = labels_of(trials)
     shares, n_asked = np.zeros((len(names), len(names))), np.zeros((len(names), 1))
     for trial in trials:
         if (scores := trial.episodes.scores(k)) is not None:
             columns = np.searchsorted(names, trial.recogniser.classes_)
             shares[np.ix_(columns, columns)] += scores.confusion
             n_asked[columns, 0] += scores.confusion.sum(axis=1) > 0
-    return [str(name) for name in names], shares / np.maximum(n_asked, 1)
+    return names, shares / np.maximum(n_asked, 1)
 
 
 def figures_of(
@@ -186,6 +193,7 @@ def figures_of(
     first = trials[0].recogniser
     figures: dict[str, Any] = {
         **{k: v for k, v in first.summary().items() if k != "labels"},
+        "n_labels": len(labels_of(trials)),
         "split": split,
         "n_folds": len(trials),
         "left_out": list(trials[0].fold.left_out),
@@ -195,15 +203,15 @@ def figures_of(
         "n_train_touches": sum(len(t.fold.train) for t in trials) // len(trials),
         "n_test_touches": sum(len(t.fold.test) for t in trials),
         "n_test_touches_taught": sum(t.fold.n_taught for t in trials),
-        "chance": 1 / len(first.classes_),
+        "chance": mean(1 / len(t.recogniser.classes_) for t in trials),
         "orders": plan.orders,
         "seed": plan.seed,
     }
     names = ("accuracy", "accuracy_sd", "n_objects", "log_loss", "ece", "ece_before")
     figures.update({name: {} for name in names})
-    for k in sorted(plan.touches):
+    for k in plan.touches:
         _figures_after(k, trials, figures)
-    figures["notes"] = _too_long_message(trials, plan)
+    figures["notes"] = _too_long_message(trials, plan) + _all_confirmed_message(trials)
     if right := _categories_right(trials, plan):
         figures["category_accuracy"] = right
     if trials[0].unknown_episodes is not None:
@@ -243,6 +251,17 @@ def _too_long_message(trials: Sequence[Trial], plan: Plan) -> list[str]:
     return [sentence] if left_out else []
 
 
+def _all_confirmed_message(trials: Sequence[Trial]) -> list[str]:
+    """Return a sentence on the objects whose test touches were all confirmed."""
+    sets = [t.confirmed.object for t in trials if t.confirmed is not None]
+    names = {str(name) for of in sets if of is not None for name in of}
+    gone = sorted(names.difference(*(t.episodes.objects for t in trials)))
+    sentence = (
+        f"Not asked, as all their test touches were confirmed: {', '.join(gone)}."
+    )
+    return [sentence] if gone else []
+
+
 def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> None:
     of_folds = scored(trials, k)
     if not of_folds:
@@ -253,9 +272,10 @@ def _figures_after(k: int, trials: Sequence[Trial], figures: dict[str, Any]) -> 
 
     per_fold = [scores.accuracy.mean() for scores in of_folds]
     over_objects = together(of_folds, "accuracy")
-    key, over = str(k), over_objects if len(of_folds) == 1 else per_fold
+    key, over = str(k), over_objects if len(trials) == 1 else per_fold
     figures["accuracy"][key] = mean_share(per_fold)
-    figures["accuracy_sd"][key] = float(spread(over))
+    no_spread = len(trials) > len(of_folds) == 1
+    figures["accuracy_sd"][key] = None if no_spread else float(spread(over))
     enough = [t.episodes.objects_after(k) for t in trials]
     figures["n_objects"][key] = len(set().union(*enough))
     figures["log_loss"][key] = float(np.mean(together(of_folds, "log_loss")))
@@ -269,15 +289,18 @@ def _categories_right(trials: Sequence[Trial], plan: Plan) -> dict[str, float]:
     """Return how often the category of the best object is right; {} without any."""
     result: dict[str, float] = {}
     for k in plan.touches:
-        shares = []
+        per_fold = []
         for trial in trials:
+            shares = []
             categories = trial.recogniser.belief_model().categories
             for truth, log_posterior in zip(*trial.episodes.after(k), strict=True):
                 if truth >= 0 and categories[truth]:
                     best = categories[log_posterior.argmax(axis=1)]
                     shares.append(float((best == categories[truth]).mean()))
-        if shares:
-            result[str(k)] = float(np.mean(shares))
+            if shares:
+                per_fold.append(np.mean(shares))
+        if per_fold:
+            result[str(k)] = float(np.mean(per_fold))
     return result
 
 
@@ -347,6 +370,9 @@ def calibration_bins(
             f"{len(right)}."
         )
     check_count("n_bins", n_bins)
+    # Which of equal beliefs come first is no matter of belief: each has their mean.
+    _, value = np.unique(belief, return_inverse=True)
+    right = (np.bincount(value, right) / np.bincount(value))[value]
     order = np.argsort(belief, kind="stable")
     parts = np.array_split(order, min(n_bins, len(order)))
     means = np.array([belief[part].mean() for part in parts])

@@ -423,9 +423,10 @@ class Belief:
             `costs[truth][named]`, at least 0: what it costs to take one object for
             another; 1 where not given, and for naming what was never learnt. The
             object of least expected cost is named, once that cost is at most `error`.
+            Not for level "category".
         refusal : float, optional
             "unknown" is said when its probability is at least 1 - refusal; `error`
-            unless given.
+            unless given. For level "category" it is what `categories` lack to 1.
         level : {"object", "category", "any"}, default="object"
             What may be named. "any" names the object, or its category where only that
             is sure, and returns a value with `level` and `name`.
@@ -439,7 +440,7 @@ class Belief:
         ------
         ValueError
             If a share is not between 1e-6 and 0.5, or a category is asked for and
-            none is known.
+            none is known, or with `costs`.
         """
         named = self.named(error, costs, refusal=refusal, level=level)
         return named if named is None or level == "any" else named.name
@@ -460,8 +461,10 @@ class Belief:
             return Named("object", name)
         if level != "object" and (name := self._category(error)):
             return Named("category", name)
-        is_unknown = 1 - self.unknown <= refusal
-        return Named(UNKNOWN, UNKNOWN) if is_unknown else None
+        # Of a new thing of a known category only the object is unknown.
+        of_category = level == "category"
+        known = sum(self.categories.values()) if of_category else 1 - self.unknown
+        return Named(UNKNOWN, UNKNOWN) if known <= refusal else None
 
     def _checked(
         self, error: float, costs: Costs | None, refusal: float | None, level: Level
@@ -476,6 +479,11 @@ class Belief:
                 "none. Learn from touches with a column 'category'."
             )
         if costs is not None:
+            if level == "category":
+                raise ValueError(
+                    "costs must be left out where level is 'category', got "
+                    f"{costs!r}: they are of objects."
+                )
             self._cost_table(costs)
         return error, refusal
 
@@ -561,8 +569,8 @@ class Belief:
         Parameters are those of `decide`. Where training touches left out are not told
         apart, the sequence calibration says that all touches of an episode are worth
         about one, or each says next to nothing: the belief then stays where it is,
-        however many follow. False before there are as many touches as a middling
-        object was taught with, 20 at most. Up to 20 touches, the longest episode that
+        however many follow. False before there are as many touches as an object was
+        taught with on average, 20 at most. Up to 20 touches, the longest episode that
         was learnt from, it is also False where more of them may double what they told
         and tell the learnt objects apart: what is in doubt is then only a stranger.
         """

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from .._numbers import share_of
 from .._types import Array
 from ..touches import Touches
 from ._belief import Belief, Level, Named
@@ -145,10 +146,13 @@ class Episode:
             if not (before.level == "category" and now and now.level == "object"):
                 return
         elif before is not None:
+            leader = self._leader(before)
+            why = f"{_in_words(leader)} was more probable"
+            if leader == before.name:
+                why = f"it had {share_of(self.belief.probability(before))} left"
             self.withdrawn.append(
                 f"{_in_words(before.name)} was withdrawn after touch "
-                f"{len(self.touches)}, when {_in_words(self._leader(before))} "
-                "was more probable"
+                f"{len(self.touches)}, when {why}"
             )
         self._named = now
         self.decided_at = len(self.touches) if now is not None else None
@@ -168,7 +172,8 @@ class Episode:
         belief = self.belief
         of_categories = named.level == "category"
         shares = belief.categories if of_categories else belief.posterior
-        shares = {**shares, UNKNOWN: belief.unknown}
+        unknown = 1 - sum(shares.values()) if of_categories else belief.unknown
+        shares = {**shares, UNKNOWN: unknown}
         return max(shares, key=lambda name: shares[name])
 
     @property
