@@ -463,8 +463,8 @@ class Belief:
             return Named("category", name)
         # Of a new thing of a known category only the object is unknown.
         of_category = level == "category"
-        known = sum(self.categories.values()) if of_category else 1 - self.unknown
-        return Named(UNKNOWN, UNKNOWN) if known <= refusal else None
+        learnt = sum(self.categories.values()) if of_category else 1 - self.unknown
+        return Named(UNKNOWN, UNKNOWN) if learnt <= refusal else None
 
     def _checked(
         self, error: float, costs: Costs | None, refusal: float | None, level: Level
