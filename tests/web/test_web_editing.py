@@ -303,8 +303,17 @@ def test_a_forgotten_object_comes_back_by_undo_and_is_learnt_again(folder):
         assert session.recogniser.classes_.tolist() == ["bar", "disc"]
 
 
-@pytest.mark.parametrize("error", [LearningError, MemoryError])
-def test_changed_objects_stay_changed_where_learning_fails(folder, learn_by, error):
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (LearningError, "no memory"),
+        (MemoryError, "no memory"),
+        (KeyError, "KeyError('no memory')"),
+    ],
+)
+def test_changed_objects_stay_changed_where_learning_fails(
+    folder, learn_by, error, message
+):
     """Learning may fail in its own process, or this one may lack memory for it."""
 
     def fail(*job):
@@ -317,7 +326,8 @@ def test_changed_objects_stay_changed_where_learning_fails(folder, learn_by, err
         session.learn(wait=True)
         assert session.to_dict()["library"]["changed"] == ["bar"]
         assert session.unlearnt
-        assert session.learn_error == "no memory"
+        assert session.learn_error == message
+        assert session.message == ""
 
 
 def test_an_interrupted_lesson_finds_its_object_before_a_simulated_sensor(
