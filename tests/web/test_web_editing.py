@@ -145,7 +145,12 @@ def test_a_journal_that_is_torn_or_foreign_costs_nothing_but_the_undo(folder):
     odd = '{"action": 3}\n[1]\n\xff\n{"lesson": {"odd": 1}}\n{"undone"'
     journal.write_bytes((whole + odd).encode("latin-1"))
     with LiveSession(library=folder) as session:
+        session.move_touches([session.teacher.newest("bar", 1)[0].id], "rod")
+    with LiveSession(library=folder) as session:
         assert session.undo() == "bar"
+        assert counts(session)["bar"] == 7
+        assert session.undo() == "bar"
+        assert counts(session)["bar"] == 8
     journal.write_text(whole[:20], "utf-8")
     with LiveSession(library=folder) as session:
         assert session.to_dict()["library"]["undoable"] == 0
@@ -430,7 +435,11 @@ def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn)
         session._on_touch(_detected(drawn.images[3]), 0.0)
         assert session.to_dict()["lesson"]["done"] == 3
     with make_session(library=folder) as session:
-        assert session.to_dict()["library"]["interrupted"]["done"] == 3
+        session.rename("shoe", "boot")
+        interrupted = {"name": "boot", "wanted": 8, "done": 3}
+        assert session.to_dict()["library"]["interrupted"] == interrupted
+    with make_session(library=folder) as session:
+        assert session.to_dict()["library"]["interrupted"] == interrupted
         session.stop_teaching()
         assert session.to_dict()["library"]["interrupted"] is None
         with pytest.raises(ValueError, match="no interrupted lesson"):

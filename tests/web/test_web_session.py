@@ -199,6 +199,23 @@ def test_a_first_baseline_of_a_pressed_array_is_refused(hand):
         assert (session.baseline == 20).all()
 
 
+def test_a_press_that_ends_while_the_baseline_is_refused_is_none(hand):
+    with LiveSession(hand) as session:
+        session.take_baseline()
+        hand.show(session, pressed=True)
+        assert waited(lambda: session.watch.detector.touching)
+        pressed = hand.read_latest()
+
+        def read_as_it_ends():
+            hand.show(session, pressed=False)
+            assert waited(lambda: not session.watch.detector.touching)
+            return pressed
+
+        hand.read_latest = read_as_it_ends
+        session.take_baseline()
+        assert session.baseline.max() == 20
+
+
 def test_the_state_of_a_sensor_without_a_baseline(hand):
     hand.fixed, hand.unfixed = {"exposure": False}, "It does not keep exposure fixed."
     state = LiveSession(hand).to_dict()["sensor"]

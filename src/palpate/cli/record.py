@@ -84,7 +84,7 @@ def record(
                 break
         if output is not None and n_taken:
             session.teacher.touches(name).save(output)
-    written = None if output is None else str(output)
+    written = str(output) if output is not None and n_taken else None
     kept = {"library": str(library), "output": written}
     answer(
         as_json,

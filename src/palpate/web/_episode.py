@@ -307,7 +307,10 @@ class LiveEpisode:
         """
         pictured = list(self.pictured())
         if not pictured:
-            raise ValueError("The episode has no touch yet; touch something first.")
+            raise ValueError(
+                "The episode has no touch yet that met something; touch something "
+                "first."
+            )
         touches = [touch for touch, _ in pictured]
         about: dict[str, Any] = {
             "time_s": [touch.time_s for touch in touches],

@@ -179,6 +179,8 @@ class LiveSession:
         """Start sessions; one that fails says so on its page, if another can go on."""
         failed: list[Exception] = []
         for session in sessions:
+            if session._stopped:  # left out before
+                continue
             try:
                 session.start()
             except (ValueError, OSError, SensorError) as error:

@@ -440,11 +440,14 @@ class Teacher:
             self.library.merge_objects(old, tidy)
         else:
             self.library.rename_object(old, tidy)
-        if (lesson := self.lesson) is not None and lesson.name == old:
+        lesson = self.lesson or self.journal.interrupted
+        if lesson is not None and lesson.name == old:
             lesson.name = tidy
             self.journal.begin_lesson(tidy, lesson.wanted, lesson.ids)
             for key in lesson.no_contact_ids:
                 self.journal.add_no_contact(key)
+            if self.lesson is None:
+                self.journal.interrupted = lesson
         return tidy
 
     def forget(self, name: str, *, learnt: bool) -> None:
