@@ -145,12 +145,9 @@ def test_a_journal_that_is_torn_or_foreign_costs_nothing_but_the_undo(folder):
     odd = '{"action": 3}\n[1]\n\xff\n{"lesson": {"odd": 1}}\n{"undone"'
     journal.write_bytes((whole + odd).encode("latin-1"))
     with LiveSession(library=folder) as session:
-        session.move_touches([session.teacher.newest("bar", 1)[0].id], "rod")
-    with LiveSession(library=folder) as session:
         assert session.undo() == "bar"
-        assert counts(session)["bar"] == 7
-        assert session.undo() == "bar"
-        assert counts(session)["bar"] == 8
+    with LiveSession(library=folder) as session:  # what came after the torn line counts
+        assert session.to_dict()["library"]["undoable"] == 0
     journal.write_text(whole[:20], "utf-8")
     with LiveSession(library=folder) as session:
         assert session.to_dict()["library"]["undoable"] == 0
@@ -435,17 +432,23 @@ def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn)
         session._on_touch(_detected(drawn.images[3]), 0.0)
         assert session.to_dict()["lesson"]["done"] == 3
     with make_session(library=folder) as session:
-        session.rename("shoe", "boot")
-        interrupted = {"name": "boot", "wanted": 8, "done": 3}
-        assert session.to_dict()["library"]["interrupted"] == interrupted
-    with make_session(library=folder) as session:
-        assert session.to_dict()["library"]["interrupted"] == interrupted
+        assert session.to_dict()["library"]["interrupted"]["done"] == 3
         session.stop_teaching()
         assert session.to_dict()["library"]["interrupted"] is None
         with pytest.raises(ValueError, match="no interrupted lesson"):
             session.resume_teaching()
     with make_session(library=folder) as session:
         assert session.to_dict()["library"]["interrupted"] is None
+
+
+def test_an_interrupted_lesson_follows_the_name_of_its_object(make_session, folder):
+    with make_session(library=folder) as session:
+        session.teach("disc", 8)
+    with make_session(library=folder) as session:
+        session.rename("disc", "coin")
+    with make_session(library=folder) as session:
+        session.resume_teaching()
+        assert session.to_dict()["lesson"]["name"] == "coin"
 
 
 def test_an_interrupted_lesson_lacks_what_was_left_out_meanwhile(
