@@ -271,6 +271,20 @@ def test_what_is_undone_is_known_by_its_name_of_now(folder):
         assert session.unlearnt
 
 
+def test_what_is_taught_before_the_library_is_read_is_learnt(folder, drawn, learn_by):
+    with LiveSession(library=folder) as session:
+        session.learn(wait=True)
+
+        def learn(*job):
+            session.post_lesson("disc", drawn.images[20])
+            return learn_job(*job)
+
+        learn_by(learn)
+        session.learn(wait=True)
+        assert len(session.recogniser.memory_) == 17
+        assert not session.unlearnt
+
+
 def test_what_is_undone_while_it_learns_is_still_to_be_learnt(folder, drawn, learn_by):
     with LiveSession(library=folder) as session:
         session.learn(wait=True)

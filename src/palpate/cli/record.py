@@ -32,7 +32,9 @@ def record(
     touches: Annotated[int, option("-n", "--touches", "How many.")] = 12,
     output: Annotated[
         Path | None,
-        written_file("-o", "--output", ending=".npz", text="An .npz too."),
+        written_file(
+            "-o", "--output", ending=".npz", text="An .npz too, of all its touches."
+        ),
     ] = None,
     sessions: Annotated[
         int,

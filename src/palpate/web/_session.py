@@ -370,14 +370,15 @@ class LiveSession:
             self._note_as_learnt()
             return name
 
-    def _note_as_learnt(self) -> None:
+    def _note_as_learnt(self, *, ended: bool = False) -> None:
         """Note which changed objects have just the touches that were learnt.
 
-        While it is learning nobody knows yet which these will be.
+        While it is learning, and that has not `ended`, nobody knows which these are.
         """
         teacher = self._teacher()
         journal = teacher.journal
-        if self.recogniser is None or self.learning or not journal.changed:
+        waits = self.learning and not ended
+        if self.recogniser is None or waits or not journal.changed:
             return
         if not {old for old, _ in journal.renamed} & self._n_elsewhere.keys():
             journal.renamed.clear()  # the model knows none of these from elsewhere
@@ -657,13 +658,15 @@ class LiveSession:
 
     def _view_of(self, recogniser: ObjectRecogniser) -> TopView:
         def read_learnt() -> Touches | None:
+            touches = None
+            if self.teacher is not None:
+                ids = recogniser.memory_.touch_ids.tolist()
+                shape = recogniser.encoder_.image_shape_
+                touches = self.teacher.touches_of_ids(ids, shape)
             archive = self.model_path and self.model_path.with_suffix(".npz")
-            if archive is not None and archive.is_file():
+            if touches is None and archive is not None and archive.is_file():
                 return Touches.load(archive)
-            if self.teacher is None:
-                return None
-            ids = recogniser.memory_.touch_ids.tolist()
-            return self.teacher.touches_of_ids(ids, recogniser.encoder_.image_shape_)
+            return touches
 
         def learnt(surface_map: SurfaceMap | None) -> None:
             with self._changing():
@@ -802,6 +805,7 @@ class LiveSession:
             with self._lock:
                 del journal.renamed[: len(changes)]
                 journal.learnt()
+                self._note_as_learnt(ended=True)  # what was taught as it began
         except Exception as error:
             is_plain = isinstance(error, (ValueError, OSError, MemoryError))
             self.learn_error = str(error) if is_plain else repr(error)
