@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from ..web import LiveSession
 
 Episode = dict[str, Any]
+_LONGEST = 1000  # touches, after which a session begins the next episode
 
 
 @grouped
@@ -63,9 +64,8 @@ def live(
     """Recognise touch by touch, live: an episode ends when the object is decided."""
     from .._checks import check_count
     from ..web import LiveSession
-    from ..web._session import LONGEST_EPISODE
 
-    check_count("touches", touches, at_most=LONGEST_EPISODE)
+    check_count("touches", touches, at_most=_LONGEST)
     check_count("episodes", episodes, at_least=0)
     done: list[Episode] = []  # filled for --json alone: without an end it would grow
     n_done = ended = 0
