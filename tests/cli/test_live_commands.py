@@ -25,6 +25,7 @@ from palpate.recognition import Episode, ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorError, SensorMemory, TouchDetector
 from palpate.simulation import PressureArray, simulate_presses
 from palpate.web import LiveSession, PageServer, create_app
+from palpate.web._session import LONGEST_EPISODE
 
 from .conftest import put
 
@@ -156,6 +157,65 @@ def test_live_goes_on_after_a_touch_that_began_before():
         events.put(event)
     session = SimpleNamespace(trouble=LiveSession.began_before)
     assert live._next_touch(session, events, 0.0) == {"number": 1}
+
+
+def test_live_waits_while_a_robot_teaches_and_it_learns(monkeypatch):
+    clock = SimpleNamespace(s=0.0, monotonic=lambda: clock.s)
+    monkeypatch.setattr(live, "time", clock)
+    told = [
+        (1.5, {"lesson": {"name": "mug"}, "learning": False}),
+        (3.0, {"lesson": None, "learning": True}),
+        (4.5, {"episode": {"number": 1}}),
+    ]
+
+    def get(timeout):
+        if told[0][0] > clock.s + timeout:
+            raise queue.Empty
+        clock.s, values = told.pop(0)
+        return values
+
+    session = SimpleNamespace(trouble="", watch=None)
+    events = SimpleNamespace(get=get)
+    assert live._next_touch(session, events, 2.0) == {"number": 1}
+
+
+def test_the_touches_of_an_episode_that_ends_early_are_answered(
+    palpate, replay, model, monkeypatch, capsys
+):
+    touch = {"number": 1, "posterior": {"bar": 0.6}, "unknown": 0.4, "note": ""}
+    begun = {"number": 1, "touches": [touch], "decision": None, "open": True}
+    episode = SimpleNamespace(
+        touches=[touch], number=1, sentence="Not sure.", to_dict=lambda: begun
+    )
+    session = SimpleNamespace(trouble="", watch=None, episode=episode)
+    for ended, answered in ((0, begun), (1, None)):
+        events = queue.Queue()
+        events.put({"episode": begun})
+        told = live._episode(session, events, 30, 0.0, ended, quiet=False)
+        assert told == answered
+        assert ("Not sure." in capsys.readouterr().out) == (ended == 0)
+    whole = {"number": 1, "open": False}
+    for first, n_answered in ((begun, 1), (whole, 2)):
+        episodes = iter([first, begun])
+        monkeypatch.setattr(live, "_episode", lambda *_, quiet, e=episodes: next(e))
+        result = palpate("live", model, *replay, "--episodes", "3", "--json")
+        assert result.returncode == 1
+        assert len(json.loads(result.stdout)["episodes"]) == n_answered
+
+
+def test_an_episode_is_of_at_most_a_thousand_touches(palpate, replay, model):
+    refused = palpate.refusal("live", model, *replay, "-n", "1001")
+    assert "touches must be at most 1000, got 1001" in refused
+    assert live._LONGEST == LONGEST_EPISODE
+
+
+def test_record_names_no_archive_that_it_did_not_write(palpate, replay, tmp_path):
+    words = ["record", "bar", *replay, "--gap", "10000", "--timeout", "0.3", "--json"]
+    archive = tmp_path / "none.npz"
+    result = palpate(*words, "--library", tmp_path / "lab", "-o", archive)
+    assert result.returncode == 1
+    assert json.loads(result.stdout)["output"] is None
+    assert not archive.exists()
 
 
 def test_live_without_an_end_keeps_no_episodes(palpate, replay, model, monkeypatch):

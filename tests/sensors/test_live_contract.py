@@ -310,6 +310,25 @@ def test_a_replay_plays_what_was_recorded_between_frames_of_nothing():
     assert sensor.objects == ("cup", "pen")
 
 
+def test_the_rest_of_a_replay_is_rounded_to_the_numbers_of_its_images():
+    def rest(level):
+        no_contact = np.full((4, 5), level)
+        return ReplaySensor(
+            recording().with_columns(no_contact=no_contact)
+        ).no_contact()
+
+    assert (rest(99.9) == 100).all()
+    for level in (300.0, -1.0, np.nan):
+        with pytest.raises(SensorError, match=r"no_contact must hold 0 to 255, .* got"):
+            rest(level)
+
+
+@pytest.mark.parametrize("shape", [(16,), (2, 3, 4, 5)])
+def test_images_have_rows_columns_and_perhaps_channels(shape):
+    with pytest.raises(ValueError, match="image_shape must be two or three positive"):
+        LiveSensor.__init__(Counting(), "odd", "count", shape, np.uint8)
+
+
 def test_the_object_before_a_replay_can_be_changed():
     sensor = ReplaySensor(recording(), rate_hz=500, hold=1, gap=0)
     sensor.place("pen")

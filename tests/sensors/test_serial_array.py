@@ -200,6 +200,11 @@ def test_numbers_that_are_just_printed_are_read_but_for_a_cut_first_line(termina
             {"framing": "binary", "image_shape": (16, 8)},
             "128: `shape=8x16`.",
         ),
+        (
+            lambda image, number: plain_line(image[:4, :4], number),
+            {"image_shape": (2, 8), "checksum": True},
+            "The lines have no checksum: `checksum=no`.",
+        ),
         (one_byte, {"framing": "binary"}, "uint8, expected uint16: `dtype=uint8`"),
         (lambda image, number: bytes(range(128, 250)) * 9, {}, "check `baud`"),
         (with_dollar, {}, "The checksum of lines is wrong: after `*`"),

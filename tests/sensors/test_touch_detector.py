@@ -469,11 +469,16 @@ def test_a_touch_does_not_end_above_where_it_begins():
     with pytest.raises(ValueError, match=r"end must be at most begin \(2\), got 5"):
         TouchDetector(np.zeros((4, 4)), begin=2.0, end=5.0)
     assert TouchDetector(begin=2.0, end=2.0).end == 2
+    by_steps = TouchDetector(np.zeros((4, 4), np.uint8), end=60.0)
+    assert by_steps.end == by_steps.begin == 2
 
 
 def test_a_stream_without_a_touch_says_what_did_not_change():
     images = np.stack([REST + level for level in (0, 1, 0, 1)]).astype(np.uint8)
     with pytest.raises(SensorError, match=r"got 4 frames .*changed by 2 for 2 frames"):
+        TouchDetector().touches_in(Touches(images, no_contact=REST))
+    images = np.stack([REST + level for level in (0, 0, 0, 9)]).astype(np.uint8)
+    with pytest.raises(SensorError, match="got 4 frames"):  # the last begins a touch
         TouchDetector().touches_in(Touches(images, no_contact=REST))
 
 

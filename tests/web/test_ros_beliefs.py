@@ -150,8 +150,13 @@ def test_a_touch_without_contact_keeps_no_lesson_open_that_confirm_began(
             session.post_touch(image)
         publisher = session.publish(f"ros:/desk?domain={DOMAIN}")
         answer = publisher.ask("confirm knob")
+        for image in drawn.images[:3]:
+            session.post_touch(image)
+        again = publisher.ask("confirm knob")
         publisher.close()
         assert session.teacher.lesson is None
+    assert again[0] is False
+    assert "No touch is kept as knob. That touch of knob is stored already" in again[1]
     assert answer == (True, "3 touches are kept as knob; learn to use them.")
 
 
@@ -163,11 +168,14 @@ def test_what_is_refused_leaves_no_lesson_open_and_ends_nothing(
         for image in drawn.images[:3]:
             session.post_touch(image)
         publisher = session.publish(f"ros:/desk?domain={DOMAIN}")
+        states = []
+        session.listeners.add(lambda event: states.append(event.kind))
         library, plain = session.teacher.library, session.teacher.library.add
         calls = iter([plain, Mock(side_effect=LibraryError("No room. Free space."))])
         monkeypatch.setattr(library, "add", lambda **touch: next(calls)(**touch))
         assert publisher.ask("confirm knob") == (False, "No room. Free space.")
         assert session.teacher.lesson is None  # else the next thing would be a knob
+        assert "state" in states  # of the touch that was stored
         full = Mock(side_effect=OSError(28, "No space left on device"))
         monkeypatch.setattr(session.teacher.journal, "begin_lesson", full)
         assert publisher.ask("teach lid")[0] is False

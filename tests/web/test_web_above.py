@@ -213,6 +213,9 @@ def test_a_miss_is_evidence_of_the_smaller_ball(placed_client, drawn):
 def test_a_miss_does_not_count_without_a_model(make_session, drawn):
     miss = {"position_mm": (0, 0, 40), "direction": (0, 0, -1)}
     with make_session(sensor=False) as session:
+        assert session.post_touch(None, miss)["n_counted"] == 0
+        with pytest.raises(ValueError, match="no touch yet that met something"):
+            session.episode.as_touches()
         session.post_touch(drawn.images[0])
         assert session.post_touch(None, miss)["n_counted"] == 1
 
@@ -267,6 +270,8 @@ def test_touches_taught_with_places_make_a_map(make_session, connected, balls, d
             )
             assert answer.status_code == 200
         client.session.learn(wait=True)
+        stale = client.session.model_path.with_suffix(".npz")
+        drawn.save(stale)  # as of a model that was there before
         touch_the_large_ball(client, drawn)
         assert view_from_above(client)["pose"]["object"] == "disc"
 

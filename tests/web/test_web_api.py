@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from palpate.library import TouchLibrary
+from palpate.web._schemas import State
 
 from .conftest import waited
 
@@ -28,6 +29,10 @@ def untaught(shared):
     """The same client, at the beginning of an episode."""
     assert shared.post("/api/episode/start").status_code == 200
     return shared
+
+
+def test_the_state_is_what_was_promised(untaught):
+    assert {*State.model_fields} == {*untaught.session.to_dict()}
 
 
 def picture(image, kind="PNG"):

@@ -146,6 +146,8 @@ def test_a_journal_that_is_torn_or_foreign_costs_nothing_but_the_undo(folder):
     journal.write_bytes((whole + odd).encode("latin-1"))
     with LiveSession(library=folder) as session:
         assert session.undo() == "bar"
+    with LiveSession(library=folder) as session:  # what came after the torn line counts
+        assert session.to_dict()["library"]["undoable"] == 0
     journal.write_text(whole[:20], "utf-8")
     with LiveSession(library=folder) as session:
         assert session.to_dict()["library"]["undoable"] == 0
@@ -269,6 +271,20 @@ def test_what_is_undone_is_known_by_its_name_of_now(folder):
         assert session.unlearnt
 
 
+def test_what_is_taught_before_the_library_is_read_is_learnt(folder, drawn, learn_by):
+    with LiveSession(library=folder) as session:
+        session.learn(wait=True)
+
+        def learn(*job):
+            session.post_lesson("disc", drawn.images[20])
+            return learn_job(*job)
+
+        learn_by(learn)
+        session.learn(wait=True)
+        assert len(session.recogniser.memory_) == 17
+        assert not session.unlearnt
+
+
 def test_what_is_undone_while_it_learns_is_still_to_be_learnt(folder, drawn, learn_by):
     with LiveSession(library=folder) as session:
         session.learn(wait=True)
@@ -303,8 +319,17 @@ def test_a_forgotten_object_comes_back_by_undo_and_is_learnt_again(folder):
         assert session.recogniser.classes_.tolist() == ["bar", "disc"]
 
 
-@pytest.mark.parametrize("error", [LearningError, MemoryError])
-def test_changed_objects_stay_changed_where_learning_fails(folder, learn_by, error):
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (LearningError, "no memory"),
+        (MemoryError, "no memory"),
+        (KeyError, "KeyError('no memory')"),
+    ],
+)
+def test_changed_objects_stay_changed_where_learning_fails(
+    folder, learn_by, error, message
+):
     """Learning may fail in its own process, or this one may lack memory for it."""
 
     def fail(*job):
@@ -317,7 +342,8 @@ def test_changed_objects_stay_changed_where_learning_fails(folder, learn_by, err
         session.learn(wait=True)
         assert session.to_dict()["library"]["changed"] == ["bar"]
         assert session.unlearnt
-        assert session.learn_error == "no memory"
+        assert session.learn_error == message
+        assert session.message == ""
 
 
 def test_an_interrupted_lesson_finds_its_object_before_a_simulated_sensor(
@@ -427,6 +453,16 @@ def test_an_interrupted_lesson_goes_on_where_it_was(make_session, folder, drawn)
             session.resume_teaching()
     with make_session(library=folder) as session:
         assert session.to_dict()["library"]["interrupted"] is None
+
+
+def test_an_interrupted_lesson_follows_the_name_of_its_object(make_session, folder):
+    with make_session(library=folder) as session:
+        session.teach("disc", 8)
+    with make_session(library=folder) as session:
+        session.rename("disc", "coin")
+    with make_session(library=folder) as session:
+        session.resume_teaching()
+        assert session.to_dict()["lesson"]["name"] == "coin"
 
 
 def test_an_interrupted_lesson_lacks_what_was_left_out_meanwhile(

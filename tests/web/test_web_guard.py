@@ -255,6 +255,16 @@ def test_a_body_that_is_too_large_is_refused(client):
         assert "at most 10000 bytes" in answer.json()["detail"]
 
 
+@pytest.mark.parametrize(
+    ("path", "is_large"),
+    [("touch", True), ("teach/touch/picture", True), ("touches/remove", False)],
+)
+def test_only_images_may_be_large(make_session, connected, path, is_large):
+    with connected(make_session(sensor=False), max_body=10**6) as client:
+        answer = client.post(f"/api/{path}", content=b"x" * 70_000)
+        assert (answer.status_code != 413) == is_large
+
+
 def test_a_body_that_would_be_too_large_is_not_waited_for(client):
     head = (
         "POST /api/touch HTTP/1.1\r\nHost: localhost\r\nContent-Length: 10001\r\n"

@@ -50,6 +50,17 @@ def test_touches_of_one_place_are_alike_however_hard_they_press():
     assert variety_of(colour, np.stack([BASELINE] * 3, axis=-1)).like == variety.like
 
 
+def test_touches_without_contact_are_like_no_others():
+    lesson = lesson_of(Still((40, 60), "plane", "grey level")).lesson
+    for number in range(3):
+        lesson.add(f"touch {number}", pressed(10, 10 + 15 * number), BASELINE, 1.0)
+    for number in range(4):
+        lesson.no_contact_ids.add(f"nothing {number}")
+        lesson.add(f"nothing {number}", BASELINE, BASELINE, 1.0)
+    assert lesson.done == 3
+    assert (lesson.prompt, lesson.verdict) == ("", "")
+
+
 def test_differences_below_the_noise_of_the_sensor_do_not_count(rng):
     press, noise = pressed(10, 10, 30), 8.0
     images = [press + rng.normal(scale=noise, size=press.shape) for _ in range(6)]

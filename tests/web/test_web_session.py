@@ -17,6 +17,7 @@ from palpate.library import TouchLibrary
 from palpate.recognition import ModelFileError, ObjectRecogniser
 from palpate.sensors import (
     ContactError,
+    DetectedTouch,
     Reading,
     ReplaySensor,
     SensorError,
@@ -198,6 +199,23 @@ def test_a_first_baseline_of_a_pressed_array_is_refused(hand):
         assert (session.baseline == 20).all()
 
 
+def test_a_press_that_ends_while_the_baseline_is_refused_is_none(hand):
+    with LiveSession(hand) as session:
+        session.take_baseline()
+        hand.show(session, pressed=True)
+        assert waited(lambda: session.watch.detector.touching)
+        pressed = hand.read_latest()
+
+        def read_as_it_ends():
+            hand.show(session, pressed=False)
+            assert waited(lambda: not session.watch.detector.touching)
+            return pressed
+
+        hand.read_latest = read_as_it_ends
+        session.take_baseline()
+        assert session.baseline.max() == 20
+
+
 def test_the_state_of_a_sensor_without_a_baseline(hand):
     hand.fixed, hand.unfixed = {"exposure": False}, "It does not keep exposure fixed."
     state = LiveSession(hand).to_dict()["sensor"]
@@ -260,11 +278,43 @@ def test_touches_from_before_a_baseline_begin_no_lesson_after_it(hand, tmp_path)
         session.stop_teaching()
         press_once(hand, session)
         assert waited(lambda: len(session.episode.touches) == 1)
+        session.take_baseline(ask_press=True)
+        session.end_press(undo=True)  # so that the touch is of the baseline of now
         session.teach("mug", 3, keep_episode=True)
         assert session.teacher.lesson.done == 1
+        sessions = {row.session for row in session.teacher.newest("mug", 9)}
+        session.stop_teaching()
+        session.take_baseline(ask_press=True)
+        session.end_press(undo=True)
+        session.post_lesson("mug", np.full((SIDE, SIDE), 90, np.uint8))
+        assert {row.session for row in session.teacher.newest("mug", 9)} == sessions
+        for level in (90, 91, 92):
+            session.post_touch(np.full((SIDE, SIDE), level, np.uint8))
+            if level == 91:
+                session.take_baseline()
+        session.teach("cup", 3, keep_episode=True)
+        assert session.message == (
+            "Touch 1 of 3 of cup is stored. Those from before the baseline was taken "
+            "are not kept."
+        )
 
 
-def test_touches_of_an_episode_keep_what_the_sensor_told_beside_them(tmp_path):
+def test_a_touch_on_its_way_is_not_of_a_baseline_taken_meanwhile(hand, tmp_path):
+    with LiveSession(hand, library=tmp_path / "library") as session:
+        session.take_baseline()
+        session.teach("mug", 3)
+        now_s = time.monotonic()
+        image = np.full((SIDE, SIDE), 90, np.uint8)
+        touch = DetectedTouch(image, now_s, now_s, 70.0, 5)
+        session.take_baseline()
+        session._on_touch(touch, now_s)
+        assert session.teacher.lesson.done == 0
+        assert session.trouble == session.began_before
+
+
+def test_touches_of_an_episode_keep_what_the_sensor_told_beside_them(
+    tmp_path, connected
+):
     class Warm(HandSensor):
         def _grab(self):
             (image,) = super()._grab()
@@ -276,7 +326,18 @@ def test_touches_of_an_episode_keep_what_the_sensor_told_beside_them(tmp_path):
         press_once(hand, session)
         assert waited(lambda: len(session.episode.touches) == 1)
         session.teach("mug", 1, keep_episode=True)
-        assert session.teacher.touches("mug").columns["temperature_c"] == [21.5]
+        stored = session.teacher.touches("mug")
+        press_once(hand, session)
+        assert waited(lambda: len(session.episode.touches) == 1)
+        with connected(session) as client:
+            archive = client.get("/api/episode/archive").content
+            session.take_baseline()
+            assert session.episode.as_touches(session.baseline).no_contact is None
+    (tmp_path / "episode.npz").write_bytes(archive)
+    for touches in (stored, Touches.load(tmp_path / "episode.npz")):
+        assert touches.columns["temperature_c"] == [21.5]
+        assert touches.geometry == "array"
+        assert (touches.no_contact == 20).all()
 
 
 @pytest.mark.parametrize("unknown", ["x_mm", "direction_z", "force_n"])

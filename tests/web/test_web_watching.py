@@ -12,6 +12,7 @@ from websockets.sync.client import connect
 
 from palpate import TouchLibrary
 from palpate.cli import app
+from palpate.cli.serve import _folders
 from palpate.recognition import ModelFileError
 from palpate.sensors import Frame, SensorError
 from palpate.web import LiveSession, PageServer
@@ -303,6 +304,16 @@ def test_a_sensor_that_fails_is_reported_and_the_other_goes_on(
         LiveSession.start_all([LiveSession(missing), LiveSession(missing)])
 
 
+def test_a_session_that_was_left_out_stays_so(fingers, hand, tmp_path):
+    damaged = LiveSession(hand, library=tmp_path)
+    (tmp_path / "library.sqlite").write_bytes(b"no library" * 100)
+    for _ in range(2):  # by the command, and by its server
+        LiveSession.start_all([damaged, fingers[0]])
+        assert not hand.connected
+        assert "It is left out" in damaged.watch.failed
+    fingers[0].stop()
+
+
 def test_serve_refuses_a_sensor_named_twice_and_a_library_of_one_sensor(
     tmp_path, monkeypatch
 ):
@@ -331,6 +342,8 @@ def test_two_sensors_of_one_kind_have_a_folder_and_a_name_each(tmp_path, monkeyp
     monkeypatch.setattr("palpate.web.create_app", lambda all_, *_, **__: [*all_])
     monkeypatch.setattr(PageServer, "run", lambda _, app: served.extend(app))
     monkeypatch.setattr(LiveSession, "start_all", lambda sessions: None)
+    alike = _folders(["sim:a b", "sim:a-b", "sim:a-b-2"], tmp_path / "a", None)
+    assert len({*alike}) == 3
     two = "--sensor", "sim:bar10?seed=1", "--sensor", "sim:bar10?seed=2"
     words = ["serve", "--port", "0", *two, "--library", str(tmp_path / "hand")]
     result = CliRunner().invoke(app, words)

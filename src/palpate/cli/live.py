@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from ..web import LiveSession
 
 Episode = dict[str, Any]
+_LONGEST = 1000  # touches, after which a session begins the next episode
 
 
 @grouped
@@ -64,7 +65,7 @@ def live(
     from .._checks import check_count
     from ..web import LiveSession
 
-    check_count("touches", touches)
+    check_count("touches", touches, at_most=_LONGEST)
     check_count("episodes", episodes, at_least=0)
     done: list[Episode] = []  # filled for --json alone: without an end it would grow
     n_done = ended = 0
@@ -94,13 +95,15 @@ def live(
                 )
                 if episode is None:
                     break
-                n_done, ended = n_done + 1, episode["number"]
                 if as_json:
                     done.append(episode)
+                if episode.get("open"):  # no more touches came
+                    break
+                n_done, ended = n_done + 1, episode["number"]
         except KeyboardInterrupt:
             say("Ended.", file=sys.stderr)
     answer(as_json, {"episodes": done})
-    if not n_done or session.trouble:
+    if n_done < max(episodes, 1) or session.trouble:
         raise typer.Exit(1)
 
 
@@ -113,7 +116,10 @@ def _episode(
     *,
     quiet: bool,
 ) -> Episode | None:
-    """Follow the episode after number `ended` to its decision; None without a touch."""
+    """Follow the episode after number `ended` to its decision; None without a touch.
+
+    It is still open where no more touches came.
+    """
     if not quiet:
         say("Touch an object.")
     while (episode := _next_touch(session, events, timeout_s)) is not None:
@@ -129,7 +135,12 @@ def _episode(
             if not quiet:
                 say(f"  {episode['reason']}\n", flush=True)
             return session.end_episode()
-    return None
+    begun = session.episode
+    if not begun.touches or begun.number <= ended:
+        return None
+    if not quiet:
+        say(f"  {begun.sentence}\n", flush=True)
+    return begun.to_dict()
 
 
 def _next_touch(
@@ -148,3 +159,5 @@ def _next_touch(
             return episode
         if has_trouble(session):
             return None
+        if event["lesson"] or event.get("learning"):  # as a robot says over --publish
+            end_s = time.monotonic() + timeout_s

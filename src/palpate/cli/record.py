@@ -32,7 +32,9 @@ def record(
     touches: Annotated[int, option("-n", "--touches", "How many.")] = 12,
     output: Annotated[
         Path | None,
-        written_file("-o", "--output", ending=".npz", text="An .npz too."),
+        written_file(
+            "-o", "--output", ending=".npz", text="An .npz too, of all its touches."
+        ),
     ] = None,
     sessions: Annotated[
         int,
@@ -84,7 +86,7 @@ def record(
                 break
         if output is not None and n_taken:
             session.teacher.touches(name).save(output)
-    written = None if output is None else str(output)
+    written = str(output) if output is not None and n_taken else None
     kept = {"library": str(library), "output": written}
     answer(
         as_json,

@@ -145,10 +145,12 @@ def _folders(
         for address, place in zip(sensors, places, strict=True)
     ]
     names = [re.sub(r"[^\w.-]+", "-", place) for place in whole]
-    names = [
-        f"{name}-{number}" if names.count(name) > 1 else name
-        for number, name in enumerate(names, start=1)
+    numbered = [f"{name}-{number}" for number, name in enumerate(names, start=1)]
+    mixed = [
+        with_number if names.count(name) > 1 else name
+        for name, with_number in zip(names, numbered, strict=True)
     ]
+    names = mixed if len({*mixed}) == len(mixed) else numbered
     if library and (model or (library / "library.sqlite").exists()):
         raise ValueError(
             "Several sensors have a library and a model each: leave --model out, and "

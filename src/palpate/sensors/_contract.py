@@ -180,6 +180,11 @@ class LiveSensor(ABC):
         geometry: str | None = None,
     ) -> None:
         self.name, self.unit = name, unit
+        if len(image_shape) not in (2, 3):
+            raise ValueError(
+                "image_shape must be two or three positive integers, got "
+                f"{image_shape}. Name rows, columns and, if any, channels."
+            )
         names = ("n_rows", "n_cols", "n_channels")
         self.image_shape = tuple(map(check_count, names, image_shape))
         self.dtype = np.dtype(dtype)

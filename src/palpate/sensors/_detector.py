@@ -158,7 +158,8 @@ class TouchDetector:
     @property
     def end(self) -> float:
         """The change at which a touch ends (sensor's unit)."""
-        return _END_SHARE * self.begin if self._end is None else self._end
+        begin = self.begin
+        return _END_SHARE * begin if self._end is None else min(self._end, begin)
 
     def take_baseline(self, frames: Sequence[Array], *, force: bool = False) -> None:
         """Take the frame of no contact: the mean of frames of touching nothing.
@@ -341,7 +342,7 @@ class TouchDetector:
         self.note = self._better_limit(np.array(changes), len(touches))
         if not touches:
             raise SensorError(
-                f"The stream must hold a touch, got {len(ended)} frames without one: "
+                f"The stream must hold a touch, got {len(changes)} frames without one: "
                 f"none changed by {self.begin:.3g} for {self._min_frames} frames. Give "
                 f"its frame of no contact, or lower `begin`. {self.note}".strip()
             )

@@ -239,7 +239,7 @@ class ReplaySensor(PlayedSensor):
         self._places = _places_of(recorded)
         self._rest = recorded.no_contact
         if self._rest is not None:
-            self._rest = self._rest.astype(self._images.dtype)
+            self._rest = _rest_of(self._rest, self._images.dtype)
         elif max(self._images.shape[1:3]) <= ARRAY_SIDE:
             self._rest = np.zeros_like(self._images[0])
         elif gap:
@@ -273,6 +273,18 @@ class ReplaySensor(PlayedSensor):
         self._about = self._places[row] if self._places else {}
         touch: Array = self._images[row]
         return touch
+
+
+def _rest_of(no_contact: Array, dtype: np.dtype[Any]) -> Array:
+    """Return the frame of no contact in the images' type of numbers, or refuse."""
+    if dtype.kind in "iu":
+        low, high, limits = no_contact.min(), no_contact.max(), np.iinfo(dtype)
+        if not (low >= limits.min and high <= limits.max):  # NaN is in no limits
+            raise SensorError(
+                f"no_contact must hold {limits.min} to {limits.max}, as {dtype} images "
+                f"do, got {low:g} to {high:g}. Give a frame of this sensor."
+            )
+    return as_kind(no_contact, dtype)
 
 
 def _places_of(recorded: Touches) -> list[dict[str, float]]:

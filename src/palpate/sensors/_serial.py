@@ -172,7 +172,8 @@ class SerialArraySensor(LiveSensor):
         expected = shape[0] * shape[1]
         if self.framing == "line" and seen.n_values == shape[1] < expected:
             return f"A line holds {shape[1]} values, as one row: write all rows in one."
-        if seen.n_values != expected or seen.shape not in (None, shape):
+        other = self.framing == "binary" and seen.shape != shape  # lines name no shape
+        if seen.n_values != expected or other:
             return f"{seen.n_values} values, expected {expected}: {seen.shapes}."
         if self.framing == "binary":
             return f"Taxels are {seen.dtype}, expected {dtype}: `dtype={seen.dtype}`."

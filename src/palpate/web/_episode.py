@@ -298,10 +298,19 @@ class LiveEpisode:
         later = rows[self.n_before_baseline :]
         return [(image, columns) for image, columns in later if image is not None]
 
-    def as_touches(self) -> Touches:
+    def as_touches(
+        self, baseline: Array | None = None, geometry: str | None = None
+    ) -> Touches:
+        """Return the touches that met something, with what was measured with each.
+
+        Those from before the `baseline` was taken are without it, and the others too.
+        """
         pictured = list(self.pictured())
         if not pictured:
-            raise ValueError("The episode has no touch yet; touch something first.")
+            raise ValueError(
+                "The episode has no touch yet that met something; touch something "
+                "first."
+            )
         touches = [touch for touch, _ in pictured]
         about: dict[str, Any] = {
             "time_s": [touch.time_s for touch in touches],
@@ -312,8 +321,12 @@ class LiveEpisode:
             measured = [getattr(touch, name) for touch in touches]
             if any(number is not None for number in measured):
                 about[name] = [value if m is None else m for m in measured]
+        columns = [self._columns[touch.number - 1] for touch in touches]
+        for name in sorted(set.intersection(*map(set, columns)) - {*about, *PLACED}):
+            about[name] = [values[name] for values in columns]
+        about["no_contact"] = None if self.n_before_baseline else baseline
         images = np.stack([image for _, image in pictured])
-        return Touches(images, **about, channels=self.channels)
+        return Touches(images, **about, channels=self.channels, geometry=geometry)
 
 
 def _miss(touch: LiveTouch) -> TouchRecord:

@@ -160,16 +160,22 @@ class Lesson:
         return sum(key not in self.no_contact_ids for key in self.ids)
 
     @property
+    def _like(self) -> list[int | None]:
+        """Of the touches that count, which earlier ones they are like."""
+        like = zip(self.ids, self.variety.like, strict=False)
+        return [first for key, first in like if key not in self.no_contact_ids]
+
+    @property
     def prompt(self) -> str:
         """What to do where the last two touches showed nothing new, else empty."""
-        like = self.variety.like
+        like = self._like
         same = len(like) > 2 and None not in like[-2:]
         return "The last two touches are like earlier ones: touch it elsewhere." * same
 
     @property
     def verdict(self) -> str:
         """What to do where most touches are alike, else empty."""
-        n_touches, n_like = len(self.ids), len(self.ids) - self.variety.n_new
+        n_touches, n_like = len(self._like), len(self._like) - self._like.count(None)
         return (n_touches > 3 and 2 * n_like > n_touches) * (
             f"Of {n_touches} touches of {self.name} {n_like} are like others: ten more "
             "touches of it, elsewhere, unless it is the same all over."
@@ -346,8 +352,10 @@ class Journal:
     def _write(self, line: dict[str, Any]) -> None:
         self._take(line)
         # The touch is stored already: a disk without room only costs the undo.
-        with suppress(OSError), self.path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+        with suppress(OSError), self.path.open("ab+") as file:
+            file.seek(max(0, file.seek(0, 2) - 1))
+            torn = file.read() not in (b"", b"\n")
+            file.write(b"\n" * torn + json.dumps(line).encode() + b"\n")
 
 
 def _check(content: dict[str, Any]) -> None:

@@ -59,7 +59,7 @@ _MORE_HEADERS = {401: {"WWW-Authenticate": "Bearer"}, 429: {"Retry-After": "1"}}
 _DROP_TIMES, _DROP_S = 10, 0.5
 # Bodies are images at these addresses; elsewhere they are a few words, which are read
 # in the event loop.
-_IMAGES, _FEW_WORDS = ("/api/touch", "/api/teach/touch"), 2**16
+_IMAGES, _FEW_WORDS = ("/api/touch", "/api/teach/touch"), 2**16  # or their /picture
 # A body of which nothing comes for so long is given up.
 _PART_S = 20.0
 # A head that takes so long is given up.
@@ -180,7 +180,7 @@ class RequestGuard:
 
     async def _within_size(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Hand on a request whose body is read here, up to the limit."""
-        images = scope["path"].startswith(_IMAGES)
+        images = scope["path"].removesuffix("/picture") in _IMAGES
         most = self._max_body if images else min(self._max_body, _FEW_WORDS)
         try:
             body = await self._body(Request(scope, receive), most)

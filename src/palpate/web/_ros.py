@@ -166,11 +166,17 @@ class RosPublisher:
         if not n_touches:
             raise ValueError("confirm must come after touches, got none.")
         name = self._named(name)
-        self._session.teach(name, n_touches, keep_episode=True)
         teacher = self._session.teacher
-        if teacher is not None and (lesson := teacher.lesson) is not None:
+        n_before = 0 if teacher is None else teacher.library.count()
+        self._session.teach(name, n_touches, keep_episode=True)
+        assert teacher is not None  # else that is refused
+        why = self._session.message
+        n_touches = teacher.library.count() - n_before
+        if (lesson := teacher.lesson) is not None:
             n_touches = lesson.done  # the others show no contact
             self._session.stop_teaching()
+        if not n_touches:
+            raise ValueError(f"No touch is kept as {name}. {why}")
         return f"{n_touches} touches are kept as {name}; learn to use them."
 
     def _named(self, name: str) -> str:

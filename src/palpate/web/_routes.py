@@ -293,7 +293,9 @@ def view_from_above(session: Session) -> SeenFromAbove:
 def archive(session: Session) -> Response:
     """Download the touches of the episode as a touch archive (.npz)."""
     episode = session.episode
-    return _archive(episode.as_touches(), f"episode-{episode.number}.npz")
+    geometry = None if session.watch is None else session.watch.sensor.geometry
+    touches = episode.as_touches(session.baseline, geometry)
+    return _archive(touches, f"episode-{episode.number}.npz")
 
 
 @router.get("/episode/report", tags=["episode"], response_class=Response)

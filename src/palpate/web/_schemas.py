@@ -268,6 +268,9 @@ class State(BaseModel):
         list[dict[str, Any]],
         Field(description="Of each learnt object, how left-out touches are recognised"),
     ]
+    no_contact: Annotated[
+        list[str], Field(description="Ids of touches that show no contact.")
+    ] = []
     advice: Annotated[list[str], Field(description="What to teach next.")]
     alarm: Annotated[
         str, Field(description="That recent touches look like another sensor's.")

@@ -224,19 +224,21 @@ class SensorWatch:
         `end_press` or `undo_baseline`.
         """
         frames: list[Array] = []
-        if not self.detector.touching or force:
-            with self._taking:  # one after the other
-                self._resting = frames
-                n_frames, began_s = 0, time.monotonic()
-                now_s, deadline = began_s, began_s + timeout_s
-                while not _is_baseline(frames, now_s - began_s) and now_s < deadline:
-                    time.sleep(0.01)
-                    now_s = time.monotonic()
-                    if len(frames) > n_frames:
-                        n_frames, deadline = len(frames), now_s + timeout_s
-                self._resting = None
-        else:  # is refused with the reason
-            frames = [self.sensor.read_latest().image] * _BASELINE_FRAMES
+        if self.detector.touching and not force:
+            latest = self.sensor.read_latest().image
+            with self._lock:
+                if self.detector.touching:  # still: is refused with the reason
+                    self.detector.take_baseline([latest] * _BASELINE_FRAMES)
+        with self._taking:  # one after the other
+            self._resting = frames
+            n_frames, began_s = 0, time.monotonic()
+            now_s, deadline = began_s, began_s + timeout_s
+            while not _is_baseline(frames, now_s - began_s) and now_s < deadline:
+                time.sleep(0.01)
+                now_s = time.monotonic()
+                if len(frames) > n_frames:
+                    n_frames, deadline = len(frames), now_s + timeout_s
+            self._resting = None
         if len(frames) < _BASELINE_FRAMES:
             why = self.sensor.lost or "Check that it is switched on."
             raise SensorError(

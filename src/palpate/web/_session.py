@@ -45,6 +45,7 @@ ONE_SESSION = (
     "let the light settle, take the baseline, and teach ten more touches of each."
 )
 BEFORE_BASELINE = "No touch was made since the baseline was taken: touch it again."
+NOT_KEPT = "Those from before the baseline was taken are not kept."
 TOO_LITTLE = "Too little to learn: at least two objects with two touches each."
 LOOK_EVERY = 10  # contacts, at the mounting: fewer are too few for its false alarms
 
@@ -125,6 +126,7 @@ class LiveSession:
         self.teacher = None if library is None else Teacher(library, sensor)
         self._stopped = False
         self._placed_s = self._requested_s = -math.inf
+        self._before_baseline: tuple[LiveEpisode, int] | None = None
         self.recogniser: ObjectRecogniser | None = None
         self._top_view: TopView | None = None
         self._stored_ids: set[str] = set()
@@ -177,6 +179,8 @@ class LiveSession:
         """Start sessions; one that fails says so on its page, if another can go on."""
         failed: list[Exception] = []
         for session in sessions:
+            if session._stopped:  # left out before
+                continue
             try:
                 session.start()
             except (ValueError, OSError, SensorError) as error:
@@ -321,6 +325,9 @@ class LiveSession:
                     if teacher.lesson is None:  # the whole recording is stored already
                         break
                     self.message = self._take(image, columns)
+                n_wanted = min(wanted, len([*self.episode.pictured()]))
+                if keep_episode and touched and len(touched) < n_wanted:
+                    self.message += f" {NOT_KEPT}"
             except BaseException:  # refused: what is touched next is not of that name
                 teacher.end()
                 raise
@@ -363,14 +370,15 @@ class LiveSession:
             self._note_as_learnt()
             return name
 
-    def _note_as_learnt(self) -> None:
+    def _note_as_learnt(self, *, ended: bool = False) -> None:
         """Note which changed objects have just the touches that were learnt.
 
-        While it is learning nobody knows yet which these will be.
+        While it is learning, and that has not `ended`, nobody knows which these are.
         """
         teacher = self._teacher()
         journal = teacher.journal
-        if self.recogniser is None or self.learning or not journal.changed:
+        waits = self.learning and not ended
+        if self.recogniser is None or waits or not journal.changed:
             return
         if not {old for old, _ in journal.renamed} & self._n_elsewhere.keys():
             journal.renamed.clear()  # the model knows none of these from elsewhere
@@ -460,7 +468,7 @@ class LiveSession:
 
         What is taught from now on is of another session; `changed` says why, in words.
         """
-        watch = self._watched()
+        watch, began_s = self._watched(), time.monotonic()
         try:
             watch.take_baseline(force=force, ask_press=ask_press)
         except ContactError as error:
@@ -472,7 +480,11 @@ class LiveSession:
                 "the baseline again."
             ) from error
         self.message = "The baseline is taken."
-        self.episode.n_before_baseline = len(self.episode.touches)
+        # A touch that is on its way is of the baseline before.
+        self._requested_s = max(self._requested_s, began_s)
+        episode = self.episode
+        self._before_baseline = episode, episode.n_before_baseline
+        episode.n_before_baseline = len(episode.touches)
         self._contact_evidence, self._n_contacts, self.alarm = [], 0, ""
         if self.teacher is not None:
             self.teacher.begin_session(changed or "new baseline")
@@ -483,11 +495,24 @@ class LiveSession:
         watch = self._watched()
         if undo:
             watch.undo_baseline()
-            self.episode.n_before_baseline = len(self.episode.touches)
+            self._undo_session()
             self.message = "The baseline is undone."
         else:
             watch.end_press()
         self._notify_state()
+
+    def _undo_session(self) -> None:
+        """Go on with the session, and the touches, of the baseline before."""
+        episode, n_touches = self.episode, len(self.episode.touches)
+        if self._before_baseline is None:
+            episode.n_before_baseline = n_touches
+            return
+        before, n_before = self._before_baseline
+        is_same = episode is before and episode.n_before_baseline == n_touches
+        episode.n_before_baseline = n_before if is_same else n_touches
+        self._before_baseline = None
+        if self.teacher is not None:
+            self.teacher.undo_session()
 
     def press_difference(self) -> Array:
         """Return how the test press differs from the baseline."""
@@ -633,13 +658,15 @@ class LiveSession:
 
     def _view_of(self, recogniser: ObjectRecogniser) -> TopView:
         def read_learnt() -> Touches | None:
+            touches = None
+            if self.teacher is not None:
+                ids = recogniser.memory_.touch_ids.tolist()
+                shape = recogniser.encoder_.image_shape_
+                touches = self.teacher.touches_of_ids(ids, shape)
             archive = self.model_path and self.model_path.with_suffix(".npz")
-            if archive is not None and archive.is_file():
+            if touches is None and archive is not None and archive.is_file():
                 return Touches.load(archive)
-            if self.teacher is None:
-                return None
-            ids = recogniser.memory_.touch_ids.tolist()
-            return self.teacher.touches_of_ids(ids, recogniser.encoder_.image_shape_)
+            return touches
 
         def learnt(surface_map: SurfaceMap | None) -> None:
             with self._changing():
@@ -778,9 +805,12 @@ class LiveSession:
             with self._lock:
                 del journal.renamed[: len(changes)]
                 journal.learnt()
-        except (ValueError, OSError, MemoryError) as error:
-            self.learn_error, self.message = str(error), ""
+                self._note_as_learnt(ended=True)  # what was taught as it began
+        except Exception as error:
+            is_plain = isinstance(error, (ValueError, OSError, MemoryError))
+            self.learn_error = str(error) if is_plain else repr(error)
             with self._lock:
+                self.message = ""
                 journal.changed |= self._changed_before
                 journal.learnt()
         finally:
@@ -836,9 +866,11 @@ class LiveSession:
 
     @contextmanager
     def _changing(self) -> Iterator[None]:
-        with self._lock:
-            yield
-        self._notify_state()
+        try:
+            with self._lock:
+                yield
+        finally:
+            self._notify_state()
 
     def _notify_state(self) -> None:
         with self._lock:  # so that no state comes after a newer one

@@ -92,6 +92,7 @@ class Teacher:
         self._n_repeated = 0  # one after the other
         self.journal = Journal(self.folder / JOURNAL)
         self._lessons = self.journal.n_lessons
+        self._session, self._is_new_session = "", True
         self.begin_session(name=self.journal.goes_on(self._described.name))
         self.lesson: Lesson | None = None
         # Of each object taught, that its last lesson was of touches alike, or "".
@@ -126,9 +127,14 @@ class Teacher:
         """
         if name is not None and not name.strip():
             raise ValueError("session must have a name, got nothing.")
+        self._session_before = self._session, self._is_new_session
         started = time.strftime("%Y-%m-%d %H:%M:%S")
         self._session = f"{started} {why}".strip() if name is None else name.strip()
         self._is_new_session = name is None
+
+    def undo_session(self) -> None:
+        """Go on with the session before the last one that was begun."""
+        self._session, self._is_new_session = self._session_before
 
     def begin(self, name: str, wanted: int) -> None:
         check_count("wanted", wanted, at_most=MOST_PER_LESSON)
@@ -434,11 +440,14 @@ class Teacher:
             self.library.merge_objects(old, tidy)
         else:
             self.library.rename_object(old, tidy)
-        if (lesson := self.lesson) is not None and lesson.name == old:
+        lesson = self.lesson or self.journal.interrupted
+        if lesson is not None and lesson.name == old:
             lesson.name = tidy
             self.journal.begin_lesson(tidy, lesson.wanted, lesson.ids)
             for key in lesson.no_contact_ids:
                 self.journal.add_no_contact(key)
+            if self.lesson is None:
+                self.journal.interrupted = lesson
         return tidy
 
     def forget(self, name: str, *, learnt: bool) -> None:

@@ -101,7 +101,7 @@ function paint(bitmap, array) {
 
 const LINE = 13;
 const lines = (taxel) => [taxel].flat().map((value) => value === null ? ""
-  : Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(3))));
+  : Number.isInteger(value) ? String(value) : String(Number(Math.abs(value) < 1000 ? value.toPrecision(3) : Math.round(value))));
 
 // How wide a taxel must be for its numbers, in pixels; all of the screen where there is room.
 function cellOf(rows) {
