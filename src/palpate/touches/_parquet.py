@@ -27,7 +27,7 @@ import numpy as np
 
 from .._checks import ARRAY_SIDE, listed, nearest_path, size_text
 from .._extras import needed
-from .._types import RGB, Array
+from .._types import RGB, Array, Indices
 from ._columns import Arrays, TouchesError, refuse_large
 from ._pictures import decode_bytes, png_bytes
 
@@ -223,12 +223,14 @@ class FileIndex(NamedTuple):
 
     `columns` have one short value a touch, `kind` is the shape and type of an image
     (None of pictures, which are decoded to know), `whole` what describes all touches of
-    each recording alike, `n_rows` the touches of each row group.
+    each recording alike, `numbers` the place in it of each touch's recording, `n_rows`
+    the touches of each row group.
     """
 
     columns: Arrays
     kind: str | None
     whole: list[Arrays]
+    numbers: Indices
     n_rows: list[int]
 
 
@@ -243,20 +245,24 @@ def parquet_index(name: str) -> FileIndex:
             and not pa.types.is_nested(field.type)
             and not pa.types.is_binary(field.type)
             and field.name != _IMAGE
-            and not (field.name == _RECORDING and _has_recordings(about))
         ]
         table = reader.read(columns=short).combine_chunks()
         groups = [reader.metadata.row_group(i) for i in range(reader.num_row_groups)]
         n_rows = [group.num_rows for group in groups]
     held = {n: pa.chunked_array(table[n]).combine_chunks() for n in short}
     columns = _columns(pa, name, held, about, sum(n_rows))
+    recording = columns.pop(_RECORDING, None) if _has_recordings(about) else None
+    keys, numbers = np.unique(
+        np.zeros(sum(n_rows), int) if recording is None else recording,
+        return_inverse=True,
+    )
     kind = schema.field(_IMAGE).type
     is_tensor = isinstance(kind, pa.FixedShapeTensorType)
     shown = (
         f"{size_text(tuple(kind.shape))} of {kind.value_type}" if is_tensor else None
     )
-    numbers = range(len(about["recordings"]))
-    return FileIndex(columns, shown, [_whole(name, about, k) for k in numbers], n_rows)
+    whole = [_whole(name, about, int(key)) for key in keys]
+    return FileIndex(columns, shown, whole, numbers, n_rows)
 
 
 def _named(name: str, dtypes: Mapping[str, str]) -> dict[str, Any]:
