@@ -260,6 +260,24 @@ def test_a_baseline_with_a_dead_taxel_describes_several_recordings(library, tmp_
         assert {*read(tmp_path / "t.parquet").whole} == {"no_contact"}
 
 
+def test_what_describes_all_is_no_column_of_as_many_touches(library, tmp_path):
+    """The last rows of Parquet read at once are as many as the thresholds."""
+    thresholds = [1.0, 2.0, 3.0]
+    touches = _presses(1, 515, set_gain=2.0, thresholds=thresholds)
+    library.add(touches.with_columns(object=["mug"] * 512 + ["pen"] * 3))
+    library.export(tmp_path / "t.parquet")
+    source = ParquetTouches(tmp_path / "t.parquet")
+    read = [
+        Touches.load(tmp_path / "t.parquet"),
+        *read_parquet(tmp_path / "t.parquet"),
+        source.touches([512, 513, 514]),
+        source.resting_at(np.ones((5, 6))).touches([0, 1, 2]),
+        library.touches("object = pen"),
+    ]
+    for held in read:
+        assert_array_equal(held.whole["thresholds"], thresholds)
+
+
 def test_pictures_travel_as_their_own_files(library, tmp_path, travelled):
     folder = tmp_path / "in" / "cup"
     folder.mkdir(parents=True)

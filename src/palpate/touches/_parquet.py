@@ -134,7 +134,7 @@ def _metadata(
 
 def parquet_parts(
     path: str | PathLike[str], max_bytes: int, max_pixels: int
-) -> Iterator[tuple[Arrays, list[bytes] | None]]:
+) -> Iterator[tuple[tuple[Array, Arrays, Arrays], list[bytes] | None]]:
     """Yield what `parquet_rows` does, of all files of a path."""
     n_parts = 0
     for name in parquet_files(path):
@@ -307,9 +307,10 @@ def parquet_rows(
     max_pixels: int,
     groups: Sequence[int] | None = None,
     rows: Array | None = None,
-) -> Iterator[tuple[Arrays, list[bytes] | None]]:
-    """Yield what `Touches` is made of, one recording at a time, and files of images.
+) -> Iterator[tuple[tuple[Array, Arrays, Arrays], list[bytes] | None]]:
+    """Yield images, columns and what describes all, and files of the images.
 
+    One recording at a time.
     Of all of a file, or of some row groups and of `rows`, counted from their first.
     """
     with _reader(name) as (pa, reader):
@@ -321,15 +322,16 @@ def parquet_rows(
             most = max_pixels, max_bytes
             images, files = _images(pa, name, held.pop(_IMAGE), about, *most)
             arrays = _columns(pa, name, held, about, batch.num_rows)
+            arrays.pop("images", None)
             numbers = np.zeros(batch.num_rows, int)
             if _has_recordings(about):
                 numbers = arrays.pop(_RECORDING, numbers)
             cuts = [0, *(np.flatnonzero(np.diff(numbers)) + 1), batch.num_rows]
             for start, stop in pairwise(cuts):
                 part = {n: array[start:stop] for n, array in arrays.items()}
-                part["images"] = images[start:stop]
+                whole = _whole(name, about, int(numbers[start]))
                 kept = None if files is None else files[start:stop]
-                yield {**part, **_whole(name, about, int(numbers[start]))}, kept
+                yield (images[start:stop], part, whole), kept
 
 
 def _batch_size(name: str, reader: Any, max_bytes: int) -> int:

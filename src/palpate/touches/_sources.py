@@ -119,8 +119,8 @@ def read_parquet(
     ImportError
         pyarrow or fsspec is missing; the message names the extra.
     """
-    for arrays, files in parquet_parts(path, max_bytes, max_pixels):
-        yield Touches(**arrays)._with_files(files)
+    for parts, files in parquet_parts(path, max_bytes, max_pixels):
+        yield Touches._parted(*parts)._with_files(files)
 
 
 class _Blocks(NamedTuple):
@@ -294,7 +294,7 @@ def _read(
     """Encode touches of some blocks, or read them, wherever this runs."""
     _refuse_changed(blocks)
     read = parquet_rows(blocks.name, *limits, blocks.groups, rows)
-    touches = (_at_rest(Touches(**arrays), rest) for arrays, _ in read)
+    touches = (_at_rest(Touches._parted(*parts), rest) for parts, _ in read)
     parts = [part if encode is None else encode(part) for part in touches]
     _refuse_changed(blocks)
     return parts
@@ -306,7 +306,8 @@ def _at_rest(touches: Touches, rest: Array | None) -> Touches:
         return touches
     images = touches.images.astype(np.result_type(touches.images.dtype, np.float32))
     images += _move(touches.whole, rest).astype(images.dtype)
-    return Touches(images, **touches.columns, **{**touches.whole, "no_contact": rest})
+    whole = {**touches.whole, "no_contact": rest}
+    return Touches._parted(images, dict(touches.columns), whole)
 
 
 def _move(whole: Mapping[str, Array], rest: Array) -> Floats:

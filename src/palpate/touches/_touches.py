@@ -215,6 +215,14 @@ class Touches(Labelled):
         self._files = None
 
     @classmethod
+    def _parted(cls, images: Array, columns: Arrays, whole: Arrays) -> Self:
+        """Return touches of columns and of what describes them all, told apart."""
+        checked = _columns.checked_images(images)
+        parts = _columns.sorted_out({**columns, **whole}, checked, [*whole])
+        check_layout(checked, *parts)
+        return cls._of(checked, *parts)
+
+    @classmethod
     def load(
         cls,
         path: str | PathLike[str],
@@ -318,7 +326,7 @@ class Touches(Labelled):
             return cls(**arrays)._with_files(files)
         if kind == _PARQUET:
             parts = parquet_parts(path, max_bytes, max_pixels)
-            held = (cls(**arrays)._with_files(files) for arrays, files in parts)
+            held = (cls._parted(*part)._with_files(files) for part, files in parts)
             touches = cls._joined(held, max_bytes, warns=no_contact is None)
         elif kind == _ARCHIVE:
             touches = cls._of(*read_archive(place, max_bytes))
