@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 from PIL import Image
 
 from palpate import Touches
-from palpate.touches import TouchesError
+from palpate.touches import TouchesError, taxel_names
 
 OBJECTS = ["cup", "cup", "pen", "pen"]
 
@@ -96,6 +96,28 @@ def test_labels_of_matlab_are_read_as_meant(tmp_path, values):
     _mat_labels(tmp_path / "t.mat", np.array(values))
     names = [f"{value:g}" if isinstance(value, float) else value for value in values]
     assert Touches.load(tmp_path / "t.mat").object.tolist() == names
+
+
+def test_the_best_name_of_labels_is_the_object_wherever_it_stands(tmp_path):
+    arrays = {"X": np.zeros((4, 2, 3)), "y": np.arange(4.0), "label": [1.0, 1, 2, 2]}
+    scipy.io.savemat(tmp_path / "t.mat", arrays)
+    np.savez(tmp_path / "t.npz", **arrays)
+    for name in ("t.mat", "t.npz"):
+        touches = Touches.load(tmp_path / name)
+        assert touches.object.tolist() == [*"1122"]
+        assert touches.columns["y"].tolist() == [0, 1, 2, 3]
+    np.savez(tmp_path / "axis.npz", X=arrays["X"], y=[0, 1])
+    assert Touches.load(tmp_path / "axis.npz").object is None
+
+
+@pytest.mark.parametrize("comments", ["", "# "])
+@pytest.mark.parametrize("delimiter", [",", "\t"])
+def test_names_of_taxels_are_those_that_numpy_wrote(tmp_path, comments, delimiter):
+    header = delimiter.join(["p_1", "p_0", "object"])
+    how = {"delimiter": delimiter, "comments": comments, "header": header}
+    np.savetxt(tmp_path / "t.csv", np.eye(3, dtype=int), fmt="%d", **how)
+    columns = Touches.load(tmp_path / "t.csv").columns
+    assert taxel_names(tmp_path / "t.csv", columns) == ["p_1", "p_0"]
 
 
 @pytest.mark.parametrize("name", ["t.h5", "t.mat"])

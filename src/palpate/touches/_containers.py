@@ -160,24 +160,33 @@ def _chosen(path: Path, entries: Mapping[str, _Entry], max_bytes: int) -> Arrays
     beside = {name.rpartition("/")[2] for name in long}
     if not beside & {"object", *_LABELS}:
         _refuse_touches_last(path, plain, images)
-    has_object = "object" in beside
     group = images.rpartition("/")[0]  # of two of one name that beside the images
-    for name in sorted(plain, key=lambda n: n.rpartition("/")[0] != group):
+    ordered = sorted(plain, key=lambda n: n.rpartition("/")[0] != group)
+    labels = [n for n in ordered if n in long and n.rpartition("/")[2] in _LABELS]
+    label = None
+    if "object" not in beside and labels:
+        label = min(labels, key=lambda n: _LABELS.index(n.rpartition("/")[2]))
+    for name in ordered:
         last = name.rpartition("/")[2]
-        is_label = last in _LABELS and not has_object
-        column = "object" if is_label and "object" not in chosen.values() else last
+        column = "object" if name == label else last
         rows = name in long or belongs_to_whole(column)
         if name != images and rows and column not in chosen.values():
             chosen[name] = column
     n_bytes = sum(plain[name].n_bytes for name in chosen)
     refuse_large(f"The arrays of {path}", n_bytes, max_bytes)
     arrays = {column: _text(plain[name].read()) for name, column in chosen.items()}
-    objects = arrays.get("object")
-    if objects is not None and objects.dtype.kind == "f":  # MATLAB's numbers are all so
-        with np.errstate(invalid="ignore"):  # NaN and infinity, which are not whole
-            whole = objects.astype(np.int64)
-        arrays["object"] = whole if np.array_equal(whole, objects) else objects
+    if "object" in arrays:
+        arrays["object"] = whole_labels(arrays["object"])
     return arrays
+
+
+def whole_labels(labels: Array) -> Array:
+    """Return whole numbers as integers: MATLAB's are all floats."""
+    if labels.dtype.kind != "f":
+        return labels
+    with np.errstate(invalid="ignore"):  # NaN and infinity, which are not whole
+        whole = labels.astype(np.int64)
+    return whole if np.array_equal(whole, labels) else labels
 
 
 def _refuse_touches_last(

@@ -227,6 +227,9 @@ def taxel_names(path: Path, columns: Collection[str]) -> list[str]:
         return []
     with path.open(newline="", encoding="utf-8-sig") as file:
         first, comma = _first_line(file)
+        if comma in first.strip():  # numpy writes names behind "# "
+            file.seek(0)
+            first = next(filter(str.strip, file)).removeprefix("# ")
     split = first.split(comma) if comma in first.strip() else first.split()
     names = _spelt([name.strip().strip('"') for name in split])
     kept = {*columns, *_PLACES}
