@@ -27,7 +27,7 @@ import numpy as np
 
 from .._checks import ARRAY_SIDE, listed, nearest_path, size_text
 from .._extras import needed
-from .._types import RGB, Array, Indices
+from .._types import FORMER, RGB, Array, Indices
 from ._columns import Arrays, TouchesError, refuse_large
 from ._pictures import decode_bytes, png_bytes
 
@@ -472,7 +472,8 @@ def _decoded_files(
     max_pixels: int,
     max_bytes: int,
 ) -> tuple[Array, list[bytes]]:
-    colour = any("channels" in entry["whole"] for entry in about["recordings"])
+    names = {name for entry in about["recordings"] for name in entry["whole"]}
+    colour = "channels" in {FORMER.get(name, name) for name in names}
     whole = [file for file in files if file is not None]
     if len(whole) < len(files):
         raise TouchesError(
