@@ -428,6 +428,27 @@ def test_lists_of_another_program_keep_their_type(tmp_path, dtype):
     assert_array_equal(touches.columns["position_mm"], np.array(places, float))
 
 
+def test_a_truth_that_a_late_row_lacks_is_a_number(tmp_path):
+    valid = [True] * 599 + [None]
+    table = pa.table({"image": np.ones((600, 2, 3)).tolist(), "valid": valid})
+    pq.write_table(table, tmp_path / "t.pq")
+    for column in (
+        Touches.load(tmp_path / "t.pq").columns["valid"],
+        ParquetTouches(tmp_path / "t.pq").columns["valid"],
+    ):
+        assert_array_equal(column, [1.0] * 599 + [np.nan])
+
+
+def test_channels_of_a_former_name_are_those_of_pictures(library, tmp_path):
+    images = np.zeros((2, 64, 64, 3), np.uint8)
+    former = {"set_channels": np.array(["r", "g", "b"])}
+    library.add(Touches._of(images, {"object": np.array(["mug", "pen"])}, former))
+    library.export(tmp_path / "t.parquet")
+    touches = Touches.load(tmp_path / "t.parquet")
+    assert touches.images.shape == images.shape
+    assert touches.channels == ("r", "g", "b")
+
+
 @pytest.mark.parametrize("values", [["x", "y"], [7, 8], [0.5, None]])
 def test_a_recording_of_another_program_is_a_column(tmp_path, values):
     table = pa.table({"image": np.ones((2, 3, 4)).tolist(), "recording": values})
