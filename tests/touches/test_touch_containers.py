@@ -178,6 +178,21 @@ def test_every_page_of_a_tiff_is_a_touch(tmp_path, images, dtype):
         Touches.load(folder)
 
 
+def test_levels_of_a_tiff_are_those_that_it_shows(tmp_path, images):
+    tifffile = pytest.importorskip("tifffile")
+    path, levels = tmp_path / "s.tif", images.astype(np.uint8)
+    tifffile.imwrite(path, 255 - levels, photometric="miniswhite")
+    assert_array_equal(Touches.load(path).images, levels)
+    planes = np.repeat(levels[:, None], 3, axis=1)  # the luma of grey is its level
+    how = {"photometric": "rgb", "planarconfig": "separate"}
+    tifffile.imwrite(path, planes, **how)
+    assert_array_equal(Touches.load(path).images, levels)
+    colours = np.zeros((3, 256), np.uint16)
+    tifffile.imwrite(path, levels, photometric="palette", colormap=colours)
+    with pytest.raises(TouchesError, match="got numbers of colours in a palette"):
+        Touches.load(path)
+
+
 def test_channels_of_a_tiff_are_no_touches(tmp_path, rng):
     tifffile = pytest.importorskip("tifffile")
     levels = rng.integers(0, 4096, (5, 3, 6, 4), dtype=np.uint16)
@@ -304,6 +319,12 @@ def test_bmp_and_webp_are_pictures(tmp_path, rng, ending):
     assert_array_equal(Touches.load(path).images, levels[None])
     with pytest.raises(TouchesError, match="at most 20 pixels, got 7 x 6"):
         Touches.load(path, max_pixels=20)
+    if ending == "webp":
+        turned = Image.Exif()
+        turned[0x0112] = 6  # the camera lay on its right side
+        Image.fromarray(rgb).save(path, lossless=True, exif=turned)
+        upright = np.rot90(levels, -1)[None]
+        assert_array_equal(Touches.load(path).images, upright)
     path.write_bytes(path.read_bytes()[:30])
     with pytest.raises(TouchesError, match="must be a whole"):
         Touches.load(path)
