@@ -356,12 +356,17 @@ def test_other_programs_show_camera_images_as_pictures(library, tmp_path):
 
 
 @pytest.mark.parametrize("by", [None, "object"])
-def test_a_store_that_fsspec_knows_serves(library, by, travelled):
+def test_a_store_that_fsspec_knows_serves(library, tmp_path, by, travelled):
     pytest.importorskip("fsspec")
     library.add(_presses(1))
     url = f"memory://bucket/{by}/some.parquet"
     travelled(library, url, by)
     assert len(Touches.load(url)) == 6
+    if by is not None:  # else what was there would stay beside
+        with pytest.raises(LibraryError, match="must be a new or empty folder, got "):
+            library.export(url, by=by)
+    library.export(f"file://{tmp_path}/{by}.parquet", by=by)
+    assert len(Touches.load(tmp_path / f"{by}.parquet")) == 6
     with pytest.raises(TouchesError, match="fsspec can open"):
         list(read_parquet("nosuchscheme://bucket/some.parquet"))
     with pytest.raises(LibraryError, match=r"address of a store in \.parquet"):

@@ -108,7 +108,14 @@ def _to_store(picked: Selection, url: str, by: str | None) -> None:
     """Write Parquet to a store that fsspec knows."""
     fsspec = needed("fsspec.core", "parquet", "Writing to a store")
     try:
-        system, place = fsspec.url_to_fs(url)
+        # Folders in a folder of this disk are made; other stores need none.
+        on_disk = {"auto_mkdir": by is not None} if url.startswith("file:") else {}
+        system, place = fsspec.url_to_fs(url, **on_disk)
+        if by is not None and (there := system.find(place)):
+            raise LibraryError(
+                f"{url} must be a new or empty folder, got {there[0]} in it. Give "
+                "another one."
+            )
         with system.transaction:  # what fails leaves nothing, and what was there stays
             _write_files(picked, by, place, lambda name: system.open(name, "wb"))
     except (LibraryError, TouchesError):
