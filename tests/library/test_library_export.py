@@ -420,6 +420,16 @@ def test_what_another_program_wrote_is_read(tmp_path):
     assert_array_equal(touches.columns["force_n"], [0.5, np.nan, 0.5, np.nan])
 
 
+def test_folders_of_what_lacks_have_no_session(tmp_path):
+    table = pa.table({"image": np.ones((2, 3, 4)).tolist()})
+    for name in ("monday", "__HIVE_DEFAULT_PARTITION__"):
+        place = tmp_path / "set.parquet" / f"session={name}"
+        place.mkdir(parents=True)
+        pq.write_table(table, place / "0.parquet")
+    touches = Touches.load(tmp_path / "set.parquet")
+    assert touches.session.tolist() == ["", "", "monday", "monday"]
+
+
 @pytest.mark.parametrize("dtype", [np.uint16, np.float32])
 def test_lists_of_another_program_keep_their_type(tmp_path, dtype):
     """As pandas and polars write arrays; a number that lacks is NaN."""

@@ -887,6 +887,15 @@ def test_what_a_data_frame_says_of_touches_is_no_taxel():
     ]
 
 
+@pytest.mark.parametrize("name", ["object", "Object", "label", "category"])
+def test_whole_numbers_of_a_data_frame_are_labels(name):
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame({"t0": [0.5, 0.25], "t1": [1.0, 2.0], name: [1.0, 2.0]})
+    columns = Touches.from_frame(frame).columns
+    (labels,) = columns.values()
+    assert labels.tolist() == ["1", "2"]
+
+
 @pytest.mark.parametrize("names", [[0, 1, 0, 1], [0, 1, 2, "1"]])
 def test_columns_of_one_name_in_a_data_frame_are_refused(names):
     """Of two pads side by side, touches would be of one pad, or lack a taxel."""

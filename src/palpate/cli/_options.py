@@ -561,7 +561,9 @@ class Reading:
         kind = kind_of(path, topic)
         read_as = "file" if held and kind == "Parquet file" else kind
         for name, (kinds, words) in _FOR.items():
-            if (value := getattr(self, name)) is not None and read_as not in kinds:
+            value = getattr(self, name)
+            says = value is not None and value is not False
+            if says and read_as not in kinds:
                 raise ValueError(
                     f"--{name.replace('_', '-')} must be left out for a {kind} such as "
                     f"{path}, got {str(value)!r}. It is for {words}."

@@ -39,6 +39,7 @@ _BYTES_AT_ONCE = 64 * 2**20  # as many images at once
 _IMAGE, _RECORDING = "image", "recording"
 _URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.DOTALL)
 _PART = re.compile(r"([^/=]+)=([^/]*)")
+_HIVE_NULL = "__HIVE_DEFAULT_PARTITION__"  # as others name a folder of what lacks
 _READING = "Reading Parquet"
 # What stores say of a file that changes when it is written anew.
 _STAMPS = ("size", "ETag", "etag", "md5", "mtime", "LastModified", "created")
@@ -272,7 +273,7 @@ def _named(name: str, dtypes: Mapping[str, str]) -> dict[str, Any]:
     """
     named: dict[str, Any] = {}
     for key, text in _PART.findall(name):
-        value = unquote(text)
+        value = "" if text == _HIVE_NULL else unquote(text)
         named[key] = value
         with suppress(TypeError, ValueError):
             dtype = np.dtype(dtypes.get(key, "U"))
