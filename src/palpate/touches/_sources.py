@@ -316,7 +316,8 @@ def _move(whole: Mapping[str, Array], rest: Array) -> Floats:
     if frame is None or frame.shape != rest.shape:
         return np.zeros(rest.shape)
     # A taxel that was dead at rest stays as it is.
-    return np.nan_to_num(rest.astype(float) - frame)
+    move: Floats = np.nan_to_num(rest.astype(float) - frame)
+    return move
 
 
 def _refuse_changed(blocks: _Blocks) -> None:
