@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from .._types import PICTURES
 from ._notes import STILLS, left_aside, named_in_ways, read_as
 from ._options import AsJson, Page, Reading, TouchesPath, grouped, kind_of
 from ._output import answer, as_typed, counted, stages
@@ -190,6 +189,7 @@ def _advice(
     """Return what to do before learning, the most harmful first."""
     if touches is None:
         return []
+    from .._types import PICTURES
     from ..evaluation import few_touches
 
     objects, advice = checked["objects"], []
