@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from palpate import Touches
+from palpate.library import TouchLibrary
 from palpate.recognition import ObjectRecogniser
 from palpate.touches import TouchesError
 
@@ -290,6 +291,22 @@ def test_a_frame_of_no_contact_is_asked_for_as_it_can_be_given(
     assert all(re.search(fix, line) for line in asked)
 
 
+@pytest.mark.parametrize("rests", [0, 1, 2])
+def test_a_library_is_asked_for_no_option_that_it_refuses(palpate, tmp_path, rests):
+    """One that has several frames of no contact needs no other."""
+    rng = np.random.default_rng(rests)
+    with TouchLibrary.open(tmp_path / "lab", create=True) as library:
+        for day in (1, 2):
+            levels = rng.integers(0, 200, (12, 60, 80), np.uint8)
+            rest = np.full((60, 80), min(day, rests), np.uint8) if rests else None
+            names = ["mug", "pen"] * 6
+            library.add(Touches(levels, object=names, no_contact=rest), session=day)
+    advice = palpate.answer("check", tmp_path / "lab")["advice"]
+    asked = [line for line in advice if "touching nothing" in line]
+    assert len(asked) == (rests == 0)
+    assert "--no-contact" not in " ".join(advice)
+
+
 def test_frames_of_one_touch_that_count_as_touches_are_told(palpate, tmp_path, rng):
     images = 100 * rng.random((24, 6, 6))
     # Of each object 200 are looked at, here the frames of ten touches.
@@ -346,6 +363,7 @@ def test_columns_of_a_file_without_labels_are_named(palpate, tmp_path, rng):
     Touches(rng.random((6, 8, 8)), label=["mug", "pen"] * 3).save(tmp_path / "t.npz")
     (line,) = palpate.answer("check", tmp_path / "t.npz")["advice"]
     assert "call the column of names object (it has label)" in line
+    assert "--name-pattern" not in line
 
 
 def test_names_of_folders_that_will_not_do_are_reported(palpate, tmp_path):

@@ -251,7 +251,7 @@ def test_a_filter_in_a_file_selects_training_touches_as_a_typed_one_does(
         library.add(drawn(1))
     words = ("--train", folder, "--test", tmp_path / "test", "--touches", "1")
     profile = tmp_path / "reading.toml"
-    profile.write_text("where = 'order < 10'")
+    profile.write_text("where = 'order < 10'\ncolour = false")
     for filtered in (("--where", "order < 10"), ("--read", profile)):
         figures = palpate.answer("evaluate", *words, *filtered)
         assert (figures["n_train_touches"], figures["n_test_touches"]) == (30, 60)

@@ -362,7 +362,17 @@ def listed(sources, texts):
 WHOLE = b"\n".join([b"1 " * 27] * 64)
 
 
-def test_files_of_a_list_are_bounded_by_their_sum(sources, small_sources):
+@pytest.mark.parametrize("says_length", [True, False])
+def test_files_of_a_list_are_bounded_by_their_sum(
+    sources, small_sources, says_length, monkeypatch
+):
+    send = SimpleHTTPRequestHandler.send_header
+
+    def send_others(self, name, value):
+        if says_length or name != "Content-Length":
+            send(self, name, value)
+
+    monkeypatch.setattr(SimpleHTTPRequestHandler, "send_header", send_others)
     listed(sources, [WHOLE + b" " * 400_000 + b"%d" % n for n in range(4)])
     refusal_of("mattress", "the source must have at most 1 MB")
     assert len(sources.requests) == 4  # the list and three files

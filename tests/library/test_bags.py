@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.library import LibraryError, read_bag
+from palpate.library import LibraryError, is_recording, read_bag
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
 rosbag1 = pytest.importorskip("rosbags.rosbag1")
@@ -20,8 +20,8 @@ STORE = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
 ROS1 = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
 
 
-def _header(types, stamp):
-    time = types["builtin_interfaces/msg/Time"](stamp, 250_000_000)
+def _header(types, stamp, nanosec=250_000_000):
+    time = types["builtin_interfaces/msg/Time"](stamp, nanosec)
     header = types["std_msgs/msg/Header"]
     # Headers of ROS 1 are numbered.
     number = [0] if types is ROS1.types else []
@@ -80,6 +80,24 @@ def test_images_of_a_bag_are_touches(bag, rng):
     assert touches.images.dtype == np.uint16
     assert touches.object.tolist() == ["cup"] * 3
     assert touches.columns["time_s"].tolist() == [7.25, 8.25, 9.25]
+
+
+@pytest.mark.parametrize(
+    ("stamps", "times"),
+    [([2, 0, 3], [2, 0, 3]), ([0, 0, 0], [0, 1, 2]), ([10**9, 0], [10**9, 1])],
+)
+def test_a_stamp_of_0_is_a_time_of_a_simulated_clock_alone(bag, stamps, times):
+    messages = [_image(np.zeros((2, 2), np.uint8), "mono8") for _ in stamps]
+    for message, stamp in zip(messages, stamps, strict=True):
+        message.header = _header(STORE.types, stamp, 0)
+    assert read_bag(bag(*messages)).columns["time_s"].tolist() == times
+
+
+def test_a_folder_with_a_file_of_a_bags_name_is_no_bag(bag, tmp_path):
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "metadata.yaml").write_text("camera: left")
+    assert not is_recording(tmp_path / "pictures")
+    assert is_recording(bag(_image(np.zeros((2, 2), np.uint8), "mono8")))
 
 
 def test_a_digest_of_all_messages_is_kept(bag, library):

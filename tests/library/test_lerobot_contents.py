@@ -240,6 +240,25 @@ def test_without_labels_the_task_is_to_touch(exported, rng):
     assert frames["timestamp"] == [0, 1, 2]
 
 
+def test_pictures_of_which_only_some_say_how_they_lie_are_pictures(library, tmp_path):
+    images = np.zeros((2, 60, 80), np.uint8)
+    for geometry in ("array", None):
+        added = Touches(images, object=["mug", "pen"], geometry=geometry)
+        library.add(added, session=str(geometry))
+    library.export(tmp_path / "robot")
+    features = metadata(tmp_path / "robot", "info")["features"]
+    assert features["observation.tactile"]["dtype"] == "image"
+
+
+@pytest.mark.parametrize("force", [None, [0.5, 0.25]])
+def test_a_place_may_be_one_number(exported, rng, force):
+    touches = Touches(rng.random((2, 3, 4)), position_mm=[1.0, 2.0], force_n=force)
+    frames = frames_of(exported(touches))
+    state = [1.0, 2.0] if force is None else [[1.0, 0.5], [2.0, 0.25]]
+    assert frames["observation.state"].to_pylist() == state
+    assert frames["action"].to_pylist() == [2.0, 2.0]
+
+
 def test_without_a_force_the_state_is_the_place(exported, rng):
     places = rng.normal(size=(3, 3))
     images = rng.normal(size=(3, 3, 4))

@@ -210,7 +210,9 @@ def test_touches_come_back_with_their_ids(library, tmp_path, dtype, by, travelle
         for day in ("monday", "007"):  # each session has its own baseline
             assert_array_equal(again.no_contact(day), np.full((5, 6), len(day)))
         if by is None:
-            assert again.add(Touches.load(path)) == [r.id for r in library.list()]
+            with pytest.warns(UserWarning, match="one frame of no contact, got sev"):
+                held = Touches.load(path)
+            assert again.add(held) == [r.id for r in library.list()]
             assert len(again) == 12
     assert sum(map(len, parts)) == 12
     assert all(part.geometry == "array" for part in parts)
@@ -256,6 +258,24 @@ def test_a_baseline_with_a_dead_taxel_describes_several_recordings(library, tmp_
     library.export(tmp_path / "t.parquet")
     for read in (Touches.load, ParquetTouches):
         assert {*read(tmp_path / "t.parquet").whole} == {"no_contact"}
+
+
+def test_what_describes_all_is_no_column_of_as_many_touches(library, tmp_path):
+    """The last rows of Parquet read at once are as many as the thresholds."""
+    thresholds = [1.0, 2.0, 3.0]
+    touches = _presses(1, 515, set_gain=2.0, thresholds=thresholds)
+    library.add(touches.with_columns(object=["mug"] * 512 + ["pen"] * 3))
+    library.export(tmp_path / "t.parquet")
+    source = ParquetTouches(tmp_path / "t.parquet")
+    read = [
+        Touches.load(tmp_path / "t.parquet"),
+        *read_parquet(tmp_path / "t.parquet"),
+        source.touches([512, 513, 514]),
+        source.resting_at(np.ones((5, 6))).touches([0, 1, 2]),
+        library.touches("object = pen"),
+    ]
+    for held in read:
+        assert_array_equal(held.whole["thresholds"], thresholds)
 
 
 def test_pictures_travel_as_their_own_files(library, tmp_path, travelled):
@@ -336,12 +356,17 @@ def test_other_programs_show_camera_images_as_pictures(library, tmp_path):
 
 
 @pytest.mark.parametrize("by", [None, "object"])
-def test_a_store_that_fsspec_knows_serves(library, by, travelled):
+def test_a_store_that_fsspec_knows_serves(library, tmp_path, by, travelled):
     pytest.importorskip("fsspec")
     library.add(_presses(1))
     url = f"memory://bucket/{by}/some.parquet"
     travelled(library, url, by)
     assert len(Touches.load(url)) == 6
+    if by is not None:  # else what was there would stay beside
+        with pytest.raises(LibraryError, match="must be a new or empty folder, got "):
+            library.export(url, by=by)
+    library.export(f"file://{tmp_path}/{by}.parquet", by=by)
+    assert len(Touches.load(tmp_path / f"{by}.parquet")) == 6
     with pytest.raises(TouchesError, match="fsspec can open"):
         list(read_parquet("nosuchscheme://bucket/some.parquet"))
     with pytest.raises(LibraryError, match=r"address of a store in \.parquet"):
@@ -395,6 +420,16 @@ def test_what_another_program_wrote_is_read(tmp_path):
     assert_array_equal(touches.columns["force_n"], [0.5, np.nan, 0.5, np.nan])
 
 
+def test_folders_of_what_lacks_have_no_session(tmp_path):
+    table = pa.table({"image": np.ones((2, 3, 4)).tolist()})
+    for name in ("monday", "__HIVE_DEFAULT_PARTITION__"):
+        place = tmp_path / "set.parquet" / f"session={name}"
+        place.mkdir(parents=True)
+        pq.write_table(table, place / "0.parquet")
+    touches = Touches.load(tmp_path / "set.parquet")
+    assert touches.session.tolist() == ["", "", "monday", "monday"]
+
+
 @pytest.mark.parametrize("dtype", [np.uint16, np.float32])
 def test_lists_of_another_program_keep_their_type(tmp_path, dtype):
     """As pandas and polars write arrays; a number that lacks is NaN."""
@@ -406,6 +441,27 @@ def test_lists_of_another_program_keep_their_type(tmp_path, dtype):
     assert touches.images.dtype == dtype
     assert_array_equal(touches.images, images)
     assert_array_equal(touches.columns["position_mm"], np.array(places, float))
+
+
+def test_a_truth_that_a_late_row_lacks_is_a_number(tmp_path):
+    valid = [True] * 599 + [None]
+    table = pa.table({"image": np.ones((600, 2, 3)).tolist(), "valid": valid})
+    pq.write_table(table, tmp_path / "t.pq")
+    for column in (
+        Touches.load(tmp_path / "t.pq").columns["valid"],
+        ParquetTouches(tmp_path / "t.pq").columns["valid"],
+    ):
+        assert_array_equal(column, [1.0] * 599 + [np.nan])
+
+
+def test_channels_of_a_former_name_are_those_of_pictures(library, tmp_path):
+    images = np.zeros((2, 64, 64, 3), np.uint8)
+    former = {"set_channels": np.array(["r", "g", "b"])}
+    library.add(Touches._of(images, {"object": np.array(["mug", "pen"])}, former))
+    library.export(tmp_path / "t.parquet")
+    touches = Touches.load(tmp_path / "t.parquet")
+    assert touches.images.shape == images.shape
+    assert touches.channels == ("r", "g", "b")
 
 
 @pytest.mark.parametrize("values", [["x", "y"], [7, 8], [0.5, None]])

@@ -9,6 +9,7 @@ from joblib import parallel_config
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
+from palpate.cli._options import Reading
 from palpate.library import TouchLibrary
 from palpate.simulation import simulate_presses
 from palpate.touches import ParquetTouches, TouchesError
@@ -89,6 +90,30 @@ def test_each_recording_is_seen_from_its_own_rest(library, geometry, share):
     own_changes = days[2][is_new].differences()[[1, 2]]
     assert_allclose(moved.differences(), own_changes, atol=1e-12)
     assert_array_equal(alone.touches().images, days[2][is_new].images)
+
+
+def test_parquet_knows_the_rest_of_each_recording(library, tmp_path):
+    rng = np.random.default_rng(0)
+    for day in (1, 2, 3):
+        rest = 20 * rng.normal(size=(4, 5))
+        images = rest + np.repeat([[[0]], [[9]]], 8, 0) + rng.random((16, 4, 5))
+        about = {"object": ["mug"] * 8 + ["pen"] * 8, "geometry": "array"}
+        library.add(Touches(images, no_contact=rest, **about), session=day)
+    path = tmp_path / "t.parquet"
+    library.export(path)
+    chosen, source = library.select(), ParquetTouches(path)
+    assert_array_equal(source.no_contact, rest)
+    assert_array_equal(source[:9].no_contact, library.select("session = 1").no_contact)
+    assert "no_contact" in source[:9].whole.keys() - source.whole.keys()
+    rows, moved = [0, 9, 40], chosen.resting_at(rest).touches()
+    rested = source.resting_at(rest)
+    assert_array_equal(rested.touches(rows).images, moved.images[rows])
+    assert_array_equal(Reading().touches(path).images, moved.images)
+    last = source[32:]
+    assert last.resting_at(rest) is last
+    models = [ObjectRecogniser().fit(taught) for taught in (chosen, source)]
+    likelihoods = [model.log_likelihood(moved) for model in models]
+    assert_allclose(*likelihoods, atol=1e-9)  # blocks are of another size
 
 
 @pytest.fixture

@@ -197,6 +197,16 @@ def test_times_and_bytes_that_some_lack_are_empty(library, values, nothing):
     assert_array_equal(read[2:], np.full_like(values, nothing))
 
 
+@pytest.mark.parametrize("kind", ["M8[D]", "S10"])
+def test_sessions_of_dates_or_bytes_are_known_before_images_are_read(library, kind):
+    days = np.array(["2024-01-01", "2024-01-02"], kind)
+    library.add(Touches(images(2), object=["a", "b"], session=days, note=days))
+    library.add(Touches(images(2, 1), object=["a", "b"], session=days))
+    chosen = library.select()
+    assert {*chosen.columns} == {"object", "session"}
+    assert_array_equal(chosen.session, [*days, *days])
+
+
 @pytest.mark.parametrize("other", [np.array([1, 2], "m8[s]"), [1.5, 2.0], [b"x", b"y"]])
 def test_times_are_not_read_with_other_values(library, other):
     when = np.array(["2024-01-01", "2024-01-02"], "M8[s]")

@@ -176,6 +176,18 @@ def test_texts_that_spell_numbers_are_ordered_as_these(tmp_path):
         assert library.count("session < 3.5") == 4
 
 
+@pytest.mark.parametrize(
+    ("where", "n_touches"),
+    [("wet = true", 2), ("wet = False", 1), ("wet != true", 1), ("wet = 'true'", 0)],
+)
+def test_truths_are_compared_by_name(tmp_path, where, n_touches):
+    with TouchLibrary.open(tmp_path / "lab", create=True) as library:
+        about = {"object": ["0", "1", "1"], "wet": [True, False, True]}
+        library.add(Touches(np.ones((3, 2, 2)), order=range(3), **about))
+        assert library.count(where) == n_touches
+        assert library.count("object = true") == 0
+
+
 @pytest.mark.parametrize("limit", [2**63 - 1, 2**63, 2**64, -(2**63), -(2**64)])
 def test_integers_of_any_size_are_compared(library, limit):
     assert library.count(f"force_n < {limit}") == 5 * (limit > 0)

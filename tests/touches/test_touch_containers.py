@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 from PIL import Image
 
 from palpate import Touches
-from palpate.touches import TouchesError
+from palpate.touches import TouchesError, taxel_names
 
 OBJECTS = ["cup", "cup", "pen", "pen"]
 
@@ -98,6 +98,28 @@ def test_labels_of_matlab_are_read_as_meant(tmp_path, values):
     assert Touches.load(tmp_path / "t.mat").object.tolist() == names
 
 
+def test_the_best_name_of_labels_is_the_object_wherever_it_stands(tmp_path):
+    arrays = {"X": np.zeros((4, 2, 3)), "y": np.arange(4.0), "label": [1.0, 1, 2, 2]}
+    scipy.io.savemat(tmp_path / "t.mat", arrays)
+    np.savez(tmp_path / "t.npz", **arrays)
+    for name in ("t.mat", "t.npz"):
+        touches = Touches.load(tmp_path / name)
+        assert touches.object.tolist() == [*"1122"]
+        assert touches.columns["y"].tolist() == [0, 1, 2, 3]
+    np.savez(tmp_path / "axis.npz", X=arrays["X"], y=[0, 1])
+    assert Touches.load(tmp_path / "axis.npz").object is None
+
+
+@pytest.mark.parametrize("comments", ["", "# "])
+@pytest.mark.parametrize("delimiter", [",", "\t"])
+def test_names_of_taxels_are_those_that_numpy_wrote(tmp_path, comments, delimiter):
+    header = delimiter.join(["p_1", "p_0", "object"])
+    how = {"delimiter": delimiter, "comments": comments, "header": header}
+    np.savetxt(tmp_path / "t.csv", np.eye(3, dtype=int), fmt="%d", **how)
+    columns = Touches.load(tmp_path / "t.csv").columns
+    assert taxel_names(tmp_path / "t.csv", columns) == ["p_1", "p_0"]
+
+
 @pytest.mark.parametrize("name", ["t.h5", "t.mat"])
 @pytest.mark.parametrize("odd", [0.5, np.nan, np.inf, 1e19])
 def test_labels_that_are_not_whole_numbers_are_refused(tmp_path, name, odd):
@@ -154,6 +176,21 @@ def test_every_page_of_a_tiff_is_a_touch(tmp_path, images, dtype):
     tifffile.imwrite(folder / "9.tif", stack, photometric="minisblack")
     with pytest.raises(TouchesError, match="must be one touch in a folder"):
         Touches.load(folder)
+
+
+def test_levels_of_a_tiff_are_those_that_it_shows(tmp_path, images):
+    tifffile = pytest.importorskip("tifffile")
+    path, levels = tmp_path / "s.tif", images.astype(np.uint8)
+    tifffile.imwrite(path, 255 - levels, photometric="miniswhite")
+    assert_array_equal(Touches.load(path).images, levels)
+    planes = np.repeat(levels[:, None], 3, axis=1)  # the luma of grey is its level
+    how = {"photometric": "rgb", "planarconfig": "separate"}
+    tifffile.imwrite(path, planes, **how)
+    assert_array_equal(Touches.load(path).images, levels)
+    colours = np.zeros((3, 256), np.uint16)
+    tifffile.imwrite(path, levels, photometric="palette", colormap=colours)
+    with pytest.raises(TouchesError, match="got numbers of colours in a palette"):
+        Touches.load(path)
 
 
 def test_channels_of_a_tiff_are_no_touches(tmp_path, rng):
@@ -282,6 +319,12 @@ def test_bmp_and_webp_are_pictures(tmp_path, rng, ending):
     assert_array_equal(Touches.load(path).images, levels[None])
     with pytest.raises(TouchesError, match="at most 20 pixels, got 7 x 6"):
         Touches.load(path, max_pixels=20)
+    if ending == "webp":
+        turned = Image.Exif()
+        turned[0x0112] = 6  # the camera lay on its right side
+        Image.fromarray(rgb).save(path, lossless=True, exif=turned)
+        upright = np.rot90(levels, -1)[None]
+        assert_array_equal(Touches.load(path).images, upright)
     path.write_bytes(path.read_bytes()[:30])
     with pytest.raises(TouchesError, match="must be a whole"):
         Touches.load(path)
@@ -842,6 +885,15 @@ def test_what_a_data_frame_says_of_touches_is_no_taxel():
         [[True, False]],
         [[False, False]],
     ]
+
+
+@pytest.mark.parametrize("name", ["object", "Object", "label", "category"])
+def test_whole_numbers_of_a_data_frame_are_labels(name):
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame({"t0": [0.5, 0.25], "t1": [1.0, 2.0], name: [1.0, 2.0]})
+    columns = Touches.from_frame(frame).columns
+    (labels,) = columns.values()
+    assert labels.tolist() == ["1", "2"]
 
 
 @pytest.mark.parametrize("names", [[0, 1, 0, 1], [0, 1, 2, "1"]])

@@ -464,14 +464,16 @@ class Reading:
         from ..recognition import find_geometry
 
         kind = self._kind(path, topic, held=True)
-        if kind != "library":
+        several = kind == "library" or (kind == "Parquet file" and not self.no_contact)
+        if not several:
             return self._recording(path, kind, topic, quiet=quiet)
         with self.selection(path) as chosen:
-            touches: Touches = chosen.touches()
+            rows = range(len(chosen))
+            touches: Touches = chosen.touches(rows)
             # As learning sees them: taxels of each recording from their own frame.
             frame = chosen.no_contact if touches.no_contact is None else None
             if frame is not None and find_geometry(touches) in ("array", "none"):
-                touches = chosen.resting_at(frame).touches()
+                touches = chosen.resting_at(frame).touches(rows)
             return touches
 
     def like(self, recogniser: "ObjectRecogniser", path: Path) -> Self:
@@ -559,7 +561,9 @@ class Reading:
         kind = kind_of(path, topic)
         read_as = "file" if held and kind == "Parquet file" else kind
         for name, (kinds, words) in _FOR.items():
-            if (value := getattr(self, name)) is not None and read_as not in kinds:
+            value = getattr(self, name)
+            says = value is not None and value is not False
+            if says and read_as not in kinds:
                 raise ValueError(
                     f"--{name.replace('_', '-')} must be left out for a {kind} such as "
                     f"{path}, got {str(value)!r}. It is for {words}."

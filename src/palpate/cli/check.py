@@ -87,7 +87,7 @@ def check(
         "objects": [] if read is None else _objects(read),
         "alone": alone,
     }
-    checked["advice"] = _advice(checked, read)
+    checked["advice"] = _advice(checked, read, reading)
     if report is not None:
         write_text(report, _page(checked, read))
     answer(as_json, checked, *_parts(checked), report)
@@ -183,10 +183,13 @@ def _objects(touches: "Touches") -> list[dict[str, Any]]:
     return rows
 
 
-def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
+def _advice(
+    checked: dict[str, Any], touches: "Touches | None", reading: Reading
+) -> list[str]:
     """Return what to do before learning, the most harmful first."""
     if touches is None:
         return []
+    from .._types import PICTURES
     from ..evaluation import few_touches
 
     objects, advice = checked["objects"], []
@@ -202,7 +205,9 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
             has = f" (it has {has})" if has else ""
             fix = f"call the column of names object{has}, or, in Python, save "
             fix += "Touches(images, object=names); put a single picture into a folder"
-        return [f"nothing is labelled: {fix}, or see --name-pattern"]
+        if kind == "folder" or path.suffix.lower() in PICTURES:
+            fix += ", or see --name-pattern"
+        return [f"nothing is labelled: {fix}"]
     if checked["bad"]:
         advice.append(
             "mend the pictures that cannot be used, or learn without them: --skip-bad"
@@ -240,9 +245,11 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
             "half of the touches, in folders such as mug/day1 and mug/day2, or a "
             "column session; else expect less on another day"
         )
-    if touches.no_contact is None and touches.geometry != "none":
+    if touches.geometry != "none" and not _knows_rest(checked, touches, reading):
         how = "--no-contact FILE"
-        if touches.images.dtype.kind != "u":  # of these no picture has the unit
+        kind = kind_of(Path(checked["touches"]))
+        takes = kind in ("film", "file") or touches.files is not None
+        if touches.images.dtype.kind != "u" or not takes:  # no picture has the unit
             how = "in Python, touches.with_columns(no_contact=frame).save(FILE)"
         advice.append(
             f"a picture of touching nothing helps, and a replay needs one: {how}"
@@ -258,6 +265,16 @@ def _advice(checked: dict[str, Any], touches: "Touches | None") -> list[str]:
             )
             break
     return advice
+
+
+def _knows_rest(checked: dict[str, Any], touches: "Touches", reading: Reading) -> bool:
+    """Tell whether there is a frame of no contact; recordings may have several."""
+    path = Path(checked["touches"])
+    several = kind_of(path) in ("library", "Parquet file") and not reading.no_contact
+    if touches.no_contact is not None or not several:
+        return touches.no_contact is not None
+    with reading.selection(path) as chosen:
+        return chosen.no_contact is not None
 
 
 def _frames_of_touches(touches: "Touches") -> str:

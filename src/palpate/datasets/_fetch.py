@@ -286,7 +286,8 @@ class _Meter:
             self._say(f"{self._name}: {done} of {self.total // _MB or '?'} MB")
 
     def reset(self) -> None:
-        self._done = 0
+        if self.total:  # pooch counts once more what it expected, if anything
+            self._done = 0
 
     def close(self) -> None:
         self._before += self._done

@@ -41,6 +41,7 @@ _KINDS = (
     "sensor_msgs/msg/PointCloud2"
 )
 _PARTS = {".mcap", ".db3", ".db3-wal", ".db3-shm"}
+_SIMULATED_S = 1e8  # three years: stamps of the world's clock are later
 _room = threading.local()  # how much the bag that is read may still unpack to
 
 
@@ -115,8 +116,17 @@ def is_recording(path: Path) -> bool:
     """Tell whether `read_bag` is for a file or folder, by its name and its files."""
     by_name = path.suffix.lower() in (".mcap", ".db3", ".bag")
     endings = {part.suffix for part in path.glob("*")}  # without metadata it was cut
-    of_bag = (path / "metadata.yaml").is_file() or set() < endings <= _PARTS
+    of_bag = _says_bag(path / "metadata.yaml") or set() < endings <= _PARTS
     return by_name or of_bag or bool(_readers(path))
+
+
+def _says_bag(path: Path) -> bool:
+    """Tell whether a file begins as that of a bag; others are about something else."""
+    try:
+        with path.open("rb") as file:
+            return b"rosbag2_bagfile_information" in file.read(2**12)
+    except OSError:
+        return False
 
 
 def _readers(path: Path) -> list[Any]:
@@ -196,7 +206,8 @@ def _messages(
 ) -> tuple[list[Array], list[float], str]:
     chosen = [c for c in reader.connections if c.topic == topic]
     images: list[Array] = []
-    times: list[float] = []
+    stamps: list[float] = []
+    recorded: list[float] = []
     n_bytes = 0
     digest = hashlib.sha256()
     for connection, recorded_ns, raw in reader.messages(connections=chosen):
@@ -223,8 +234,8 @@ def _messages(
             )
         images.append(image)
         stamp = getattr(getattr(message, "header", None), "stamp", None)
-        stamp_s = 0.0 if stamp is None else float(stamp.sec + stamp.nanosec / 1e9)
-        times.append(stamp_s or recorded_ns / 1e9)
+        stamps.append(0.0 if stamp is None else float(stamp.sec + stamp.nanosec / 1e9))
+        recorded.append(recorded_ns / 1e9)
     if len(images) < (n_counted := sum(c.msgcount for c in chosen)):
         raise LibraryError(
             f"{topic} must have {n_counted} messages, as its bag counts them, got "
@@ -233,4 +244,7 @@ def _messages(
         )
     if not images:
         raise LibraryError(f"topic must have messages, got none in {topic!r}.")
+    # Of a clock that began at 0 that is a time, else it says that there is none.
+    began = 0 < max(stamps) < _SIMULATED_S
+    times = [s if began else s or r for s, r in zip(stamps, recorded, strict=True)]
     return images, times, digest.hexdigest()

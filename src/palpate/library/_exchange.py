@@ -108,7 +108,14 @@ def _to_store(picked: Selection, url: str, by: str | None) -> None:
     """Write Parquet to a store that fsspec knows."""
     fsspec = needed("fsspec.core", "parquet", "Writing to a store")
     try:
-        system, place = fsspec.url_to_fs(url)
+        # Folders in a folder of this disk are made; other stores need none.
+        on_disk = {"auto_mkdir": by is not None} if url.startswith("file:") else {}
+        system, place = fsspec.url_to_fs(url, **on_disk)
+        if by is not None and (there := system.find(place)):
+            raise LibraryError(
+                f"{url} must be a new or empty folder, got {there[0]} in it. Give "
+                "another one."
+            )
         with system.transaction:  # what fails leaves nothing, and what was there stays
             _write_files(picked, by, place, lambda name: system.open(name, "wb"))
     except (LibraryError, TouchesError):
@@ -248,7 +255,7 @@ class _Dataset:
         task = f"touch {'' if touches.object is None else touches.object[0]}".strip()
         task_index = self.tasks.setdefault(task, len(self.tasks))
         number, first = len(self.rows), self.n_frames
-        frames = _lerobot_frames(touches, number, first, task_index)
+        frames = _lerobot_frames(touches, self.whole, number, first, task_index)
         self.dtype, self.n_axes = touches.images.dtype.str, touches.images.ndim
         for name, values in frames.items():
             feature = _feature(name, values)
@@ -298,9 +305,12 @@ def _feature(name: str, values: Array) -> dict[str, Any]:
 
 
 def _lerobot_frames(
-    touches: Touches, episode: int, first: int, task: int
+    touches: Touches, whole: dict[str, Array], episode: int, first: int, task: int
 ) -> dict[str, Array]:
-    """Return frames by feature; where times are not known, they count touches."""
+    """Return frames by feature; where times are not known, they count touches.
+
+    `whole` is what describes all episodes alike.
+    """
     n_touches = len(touches)
     number = np.arange(n_touches, dtype=np.int64)
     time_s = np.asarray(touches.columns.get("time_s", number), dtype=np.float64)
@@ -308,7 +318,7 @@ def _lerobot_frames(
         time_s = number.astype(np.float64)
     images = touches.images
     # What a camera gives: 8 bits, grey or in colour, and larger than an array.
-    arranged = touches.geometry in ("array", "none") or touches.pads is not None
+    arranged = str(whole.get("geometry")) in ("array", "none") or "pads" in whole
     levels = images.dtype == np.uint8 and touches.channels in (None, RGB)
     if arranged or not levels or min(images.shape[1:3]) <= ARRAY_SIDE:
         images = images.astype("f4")
@@ -343,12 +353,14 @@ def _moves(touches: Touches) -> dict[str, Array]:
     places = touches.columns.get("position_mm")
     if places is None:
         return {}
+    places = places.reshape(len(touches), -1)
     force = touches.columns.get("force_n")
     state = [places] if force is None else [places, force.reshape(len(touches), -1)]
-    return {
+    moves = {
         "observation.state": np.hstack(state).astype(np.float32),
         "action": np.vstack([places[1:], places[-1:]]).astype(np.float32),
     }
+    return {n: v[:, 0] if v.shape[1] == 1 else v for n, v in moves.items()}
 
 
 def _frame_table(pa: Any, frames: dict[str, Array]) -> Any:

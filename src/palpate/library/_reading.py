@@ -31,7 +31,15 @@ from .._parallel import results_of
 from .._types import FORMER, LAYOUT, Array, Floats, Indices
 from ..touches import Labelled, Touches
 from ._changes import Names
-from ._content import PICTURE, Column, Image, column_array, image_digest, unpacked_array
+from ._content import (
+    CELLS,
+    PICTURE,
+    Column,
+    Image,
+    column_array,
+    image_digest,
+    unpacked_array,
+)
 from ._rows import (
     LOST,
     Numbers,
@@ -247,7 +255,7 @@ class Selection(Labelled):
             keys = np.array(picked.recordings())
             for key, move in self._moves.items():
                 images[keys == key] += move.astype(images.dtype)
-        return Touches(images, **columns, **whole)
+        return Touches._parted(images, columns, whole)
 
     def parts(self) -> Iterator[Touches]:
         """Yield touches as they were added, of one recording and the same columns.
@@ -267,7 +275,7 @@ class Selection(Labelled):
     def read_columns(
         self, images: Array | None = None, of: Selection | None = None
     ) -> dict[str, Array]:
-        """Return columns and fill `images`; without these, columns of cells alone.
+        """Return columns and fill `images`; without these, short columns alone.
 
         With those `of` which these are a part, the columns that all of them have, in
         the types that they have there.
@@ -275,7 +283,8 @@ class Selection(Labelled):
         layouts = (self if of is None else of)._layouts
         columns = _columns_of(layouts)
         if images is None:
-            columns = {n: c for n, c in columns.items() if not any(o.wide for o in c)}
+            columns = {n: c for n, c in columns.items() if _is_short(n, c)}
+        beside = any(column.wide for alike in columns.values() for column in alike)
         parts: dict[str, list[Array]] = {name: [] for name in columns}
         done = 0
         for rows in rows_at(self.tables, self.numbers, called=self._called):
@@ -283,6 +292,10 @@ class Selection(Labelled):
             if images is not None:
                 self._read_images(images[done : done + len(rows)], rows, values)
                 done += len(rows)
+            elif beside:
+                stored = stored_images(self.tables, rows)
+                for value, image in zip(values, stored, strict=True):
+                    value |= wide_values(self.tables, image)
             for name, alike in columns.items():
                 cells = [value.get(name) for value in values]
                 parts[name].append(column_array(alike, cells))
@@ -478,6 +491,15 @@ def _columns_of(layouts: dict[int, list[Column]]) -> dict[str, list[Column]]:
                 f"other values, got {listed}. Choose touches with a filter."
             )
     return columns
+
+
+def _is_short(name: str, alike: list[Column]) -> bool:
+    """Tell whether a column is of short values; those of dates and bytes are no cells.
+
+    They stand beside the row, and are read with it where palpate knows the column.
+    """
+    is_known = name in CELLS and not any(column.shape for column in alike)
+    return all(not c.wide or (is_known and c.dtype[1] in "MmS") for c in alike)
 
 
 def _lacking(layouts: dict[int, list[Column]]) -> set[str]:

@@ -37,6 +37,7 @@ _TOKENS = re.compile(
     re.VERBOSE,
 )
 _ID = re.compile("[0-9a-f]{32}")
+_TRUTHS = {"true": 1, "false": 0}  # as SQLite keeps them
 _INTEGER = re.compile("[+-]?[0-9]+")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?inf", re.I)
 _PLAIN_NAME = re.compile(r"[ !#-\[\]-~]+")  # ASCII but for a quote and a backslash
@@ -226,6 +227,9 @@ def _within(column: str, bound: list[Any], tokens: list[_Token]) -> Condition:
         ids = [bytes.fromhex(t.text) for t in tokens if _ID.fullmatch(t.text)]
         return Condition(f"(t.id IN {placeholders(len(ids))})", [*ids])
     values = [v for t in tokens for v in (*_spellings(t.text), _value(t))]
+    if column not in COLUMNS.values():
+        bare = [t.text.lower() for t in tokens if not t.quoted]
+        values += [_TRUTHS[word] for word in bare if word in _TRUTHS]
     different = list(dict.fromkeys((type(v), v) for v in values))
     sql = f"({column} IN {placeholders(len(different))})"
     return Condition(sql, [*bound, *(v for _, v in different)])

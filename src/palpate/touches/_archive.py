@@ -25,6 +25,7 @@ from .._durable import replacing
 from .._types import PLAIN_KINDS, Array
 from . import _columns
 from ._columns import Arrays, TouchesError, belongs_to_whole, refuse_large
+from ._containers import whole_labels
 
 _WHOLE_NAMES = "set_whole_names"
 _MAX_MEMBERS = 1000  # of an archive; ours have some twenty
@@ -109,9 +110,12 @@ def _inflated(archive: zipfile.ZipFile, max_bytes: int) -> Arrays:
     members = [_described(archive, info) for info in infos]
     arrays = {member.info.filename.removesuffix(".npy"): member for member in members}
     wide = [name for name, member in arrays.items() if len(member.shape) in (3, 4)]
-    if "images" not in arrays and len(wide) == 1:  # plain arrays that others wrote
-        arrays["images"] = arrays.pop(wide[0])
+    is_plain = "images" not in arrays and len(wide) == 1  # that others wrote
+    if is_plain:
+        images = arrays["images"] = arrays.pop(wide[0])
         labels = {"label", "labels", "y"} & set(arrays)
+        if "y" in labels and arrays["y"].shape[:1] != images.shape[:1]:  # an axis
+            labels.remove("y")
         if labels and "object" not in arrays:
             arrays["object"] = arrays.pop(min(labels))
     if "images" not in arrays:
@@ -123,7 +127,10 @@ def _inflated(archive: zipfile.ZipFile, max_bytes: int) -> Arrays:
             f"(n_touches, n_rows, n_cols); it holds {held}. "
             f"{_columns.VECTORS if flat else fix}"
         )
-    return {name: _array(archive, member) for name, member in arrays.items()}
+    read = {name: _array(archive, member) for name, member in arrays.items()}
+    if is_plain and "object" in read:
+        read["object"] = whole_labels(read["object"])
+    return read
 
 
 def _described(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Member:

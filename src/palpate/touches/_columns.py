@@ -500,9 +500,9 @@ def _refuse_odd_levels(name: str, images: Array) -> None:
 
 
 def _kind(column: Array) -> str:
-    """Return what may be joined: numbers with numbers, text with text."""
+    """Return what may be joined: numbers with numbers or truths, text with text."""
     kind = column.dtype.kind
-    return "numbers" if kind in "iufc" else kind
+    return "numbers" if kind in "biufc" else kind
 
 
 def _row(column: Array) -> str:

@@ -42,6 +42,7 @@ _MAX_DEPTH = 50  # groups within groups
 _MAX_RANK = 5  # of what is read: channels, and frames of presses
 _PLAIN = "biufSU"
 _LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
+_WHITE_IS_0, _PALETTE = 0, 3  # of TIFF
 _FIRST, _LAST = [0, 1, 2], [2, 1, 0]  # where red, green and blue stand
 _GREY = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2", "32FC1": "f4"}
 _COLOUR = {"rgb8": _FIRST, "bgr8": _LAST, "rgba8": _FIRST, "bgra8": _LAST}
@@ -160,24 +161,33 @@ def _chosen(path: Path, entries: Mapping[str, _Entry], max_bytes: int) -> Arrays
     beside = {name.rpartition("/")[2] for name in long}
     if not beside & {"object", *_LABELS}:
         _refuse_touches_last(path, plain, images)
-    has_object = "object" in beside
     group = images.rpartition("/")[0]  # of two of one name that beside the images
-    for name in sorted(plain, key=lambda n: n.rpartition("/")[0] != group):
+    ordered = sorted(plain, key=lambda n: n.rpartition("/")[0] != group)
+    labels = [n for n in ordered if n in long and n.rpartition("/")[2] in _LABELS]
+    label = None
+    if "object" not in beside and labels:
+        label = min(labels, key=lambda n: _LABELS.index(n.rpartition("/")[2]))
+    for name in ordered:
         last = name.rpartition("/")[2]
-        is_label = last in _LABELS and not has_object
-        column = "object" if is_label and "object" not in chosen.values() else last
+        column = "object" if name == label else last
         rows = name in long or belongs_to_whole(column)
         if name != images and rows and column not in chosen.values():
             chosen[name] = column
     n_bytes = sum(plain[name].n_bytes for name in chosen)
     refuse_large(f"The arrays of {path}", n_bytes, max_bytes)
     arrays = {column: _text(plain[name].read()) for name, column in chosen.items()}
-    objects = arrays.get("object")
-    if objects is not None and objects.dtype.kind == "f":  # MATLAB's numbers are all so
-        with np.errstate(invalid="ignore"):  # NaN and infinity, which are not whole
-            whole = objects.astype(np.int64)
-        arrays["object"] = whole if np.array_equal(whole, objects) else objects
+    if "object" in arrays:
+        arrays["object"] = whole_labels(arrays["object"])
     return arrays
+
+
+def whole_labels(labels: Array) -> Array:
+    """Return whole numbers as integers: MATLAB's are all floats."""
+    if labels.dtype.kind != "f":
+        return labels
+    with np.errstate(invalid="ignore"):  # NaN and infinity, which are not whole
+        whole = labels.astype(np.int64)
+    return whole if np.array_equal(whole, labels) else labels
 
 
 def _refuse_touches_last(
@@ -310,15 +320,28 @@ def _tiff(path: Path, max_bytes: int) -> Array:
         tile = _n_bytes(series.keyframe.chunks, series.dtype)
         refuse_large(f"A tile of {path}", tile, max_bytes)
         axes, samples = series.axes, file.pages[0].samplesperpixel
-        sides = series.shape[: len(axes.removesuffix("S")) - 2]
+        photometric, n_bits = (
+            int(file.pages[0].photometric),
+            file.pages[0].bitspersample,
+        )
+        sides = [n for axis, n in zip(axes, series.shape, strict=True) if axis != "S"]
+        sides = sides[:-2]
         if np.count_nonzero(np.array(sides) > 1) > 1:  # all would be touches
             raise TouchesError(
                 f"{path} must hold a page for each touch, got pages along {axes} "
                 f"{series.shape}. Save those of one channel and depth by themselves."
             )
         levels: Array = series.asarray(maxworkers=1)
+    if photometric == _PALETTE:
+        raise TouchesError(
+            f"{path} must hold levels, got numbers of colours in a palette. Convert it."
+        )
+    if photometric == _WHITE_IS_0 and levels.dtype.kind in "bu":
+        levels = levels ^ levels.dtype.type(2**n_bits - 1)
+    if "S" in axes:  # colours may come one after another
+        levels = np.moveaxis(levels, axes.index("S"), -1)
     if samples > 1:
-        if samples != 3 or not axes.endswith("S") or levels.dtype.kind != "u":
+        if samples != 3 or "S" not in axes or levels.dtype.kind != "u":
             raise TouchesError(
                 f"{path} must be in grey or in red, green and blue, got {samples} "
                 "values a pixel. Convert it."
@@ -329,7 +352,7 @@ def _tiff(path: Path, max_bytes: int) -> Array:
 
 def _picture(path: Path, max_bytes: int, max_pixels: int) -> Array:
     """Return a BMP or WebP as one touch in grey; of these Pillow knows the size."""
-    from PIL import Image
+    from PIL import Image, ImageOps
 
     with Image.open(path, formats=["BMP", "WEBP"]) as picture:
         n_cols, n_rows = picture.size
@@ -345,7 +368,8 @@ def _picture(path: Path, max_bytes: int, max_pixels: int) -> Array:
             low = picture.getchannel("A").getextrema()[0]
             if low < 255:
                 raise TouchesError(f"{path} must have no transparent parts.")
-        return np.array(picture.convert("L"))[None]
+        upright = ImageOps.exif_transpose(picture)
+        return np.array(upright.convert("L"))[None]
 
 
 def _mat(path: Path, max_bytes: int) -> Arrays:

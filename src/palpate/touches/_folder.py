@@ -112,7 +112,7 @@ class PictureCheck:
             ending = Path(name).suffix.lower() or "no ending"
             files.setdefault(ending, []).extend([name] * (name != LABELS))
         if not {*files} & {*PICTURES}:
-            return PictureCheck(others={e: files[e] for e in _GREY & {*files}})
+            return PictureCheck(others={e: files[e] for e in sorted(_GREY & {*files})})
         root, names, pattern = _chosen(root, name_pattern, levels, no_contact)
         if (kind := Path(names[0]).suffix).lower() not in PICTURES:
             raise TouchesError(

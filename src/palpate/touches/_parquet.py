@@ -27,7 +27,7 @@ import numpy as np
 
 from .._checks import ARRAY_SIDE, listed, nearest_path, size_text
 from .._extras import needed
-from .._types import RGB, Array
+from .._types import FORMER, RGB, Array, Indices
 from ._columns import Arrays, TouchesError, refuse_large
 from ._pictures import decode_bytes, png_bytes
 
@@ -39,6 +39,7 @@ _BYTES_AT_ONCE = 64 * 2**20  # as many images at once
 _IMAGE, _RECORDING = "image", "recording"
 _URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.DOTALL)
 _PART = re.compile(r"([^/=]+)=([^/]*)")
+_HIVE_NULL = "__HIVE_DEFAULT_PARTITION__"  # as others name a folder of what lacks
 _READING = "Reading Parquet"
 # What stores say of a file that changes when it is written anew.
 _STAMPS = ("size", "ETag", "etag", "md5", "mtime", "LastModified", "created")
@@ -134,7 +135,7 @@ def _metadata(
 
 def parquet_parts(
     path: str | PathLike[str], max_bytes: int, max_pixels: int
-) -> Iterator[tuple[Arrays, list[bytes] | None]]:
+) -> Iterator[tuple[tuple[Array, Arrays, Arrays], list[bytes] | None]]:
     """Yield what `parquet_rows` does, of all files of a path."""
     n_parts = 0
     for name in parquet_files(path):
@@ -223,12 +224,14 @@ class FileIndex(NamedTuple):
 
     `columns` have one short value a touch, `kind` is the shape and type of an image
     (None of pictures, which are decoded to know), `whole` what describes all touches of
-    each recording alike, `n_rows` the touches of each row group.
+    each recording alike, `numbers` the place in it of each touch's recording, `n_rows`
+    the touches of each row group.
     """
 
     columns: Arrays
     kind: str | None
     whole: list[Arrays]
+    numbers: Indices
     n_rows: list[int]
 
 
@@ -243,20 +246,24 @@ def parquet_index(name: str) -> FileIndex:
             and not pa.types.is_nested(field.type)
             and not pa.types.is_binary(field.type)
             and field.name != _IMAGE
-            and not (field.name == _RECORDING and _has_recordings(about))
         ]
         table = reader.read(columns=short).combine_chunks()
         groups = [reader.metadata.row_group(i) for i in range(reader.num_row_groups)]
         n_rows = [group.num_rows for group in groups]
     held = {n: pa.chunked_array(table[n]).combine_chunks() for n in short}
     columns = _columns(pa, name, held, about, sum(n_rows))
+    recording = columns.pop(_RECORDING, None) if _has_recordings(about) else None
+    keys, numbers = np.unique(
+        np.zeros(sum(n_rows), int) if recording is None else recording,
+        return_inverse=True,
+    )
     kind = schema.field(_IMAGE).type
     is_tensor = isinstance(kind, pa.FixedShapeTensorType)
     shown = (
         f"{size_text(tuple(kind.shape))} of {kind.value_type}" if is_tensor else None
     )
-    numbers = range(len(about["recordings"]))
-    return FileIndex(columns, shown, [_whole(name, about, k) for k in numbers], n_rows)
+    whole = [_whole(name, about, int(key)) for key in keys]
+    return FileIndex(columns, shown, whole, numbers, n_rows)
 
 
 def _named(name: str, dtypes: Mapping[str, str]) -> dict[str, Any]:
@@ -266,7 +273,7 @@ def _named(name: str, dtypes: Mapping[str, str]) -> dict[str, Any]:
     """
     named: dict[str, Any] = {}
     for key, text in _PART.findall(name):
-        value = unquote(text)
+        value = "" if text == _HIVE_NULL else unquote(text)
         named[key] = value
         with suppress(TypeError, ValueError):
             dtype = np.dtype(dtypes.get(key, "U"))
@@ -301,9 +308,10 @@ def parquet_rows(
     max_pixels: int,
     groups: Sequence[int] | None = None,
     rows: Array | None = None,
-) -> Iterator[tuple[Arrays, list[bytes] | None]]:
-    """Yield what `Touches` is made of, one recording at a time, and files of images.
+) -> Iterator[tuple[tuple[Array, Arrays, Arrays], list[bytes] | None]]:
+    """Yield images, columns and what describes all, and files of the images.
 
+    One recording at a time.
     Of all of a file, or of some row groups and of `rows`, counted from their first.
     """
     with _reader(name) as (pa, reader):
@@ -315,15 +323,16 @@ def parquet_rows(
             most = max_pixels, max_bytes
             images, files = _images(pa, name, held.pop(_IMAGE), about, *most)
             arrays = _columns(pa, name, held, about, batch.num_rows)
+            arrays.pop("images", None)
             numbers = np.zeros(batch.num_rows, int)
             if _has_recordings(about):
                 numbers = arrays.pop(_RECORDING, numbers)
             cuts = [0, *(np.flatnonzero(np.diff(numbers)) + 1), batch.num_rows]
             for start, stop in pairwise(cuts):
                 part = {n: array[start:stop] for n, array in arrays.items()}
-                part["images"] = images[start:stop]
+                whole = _whole(name, about, int(numbers[start]))
                 kept = None if files is None else files[start:stop]
-                yield {**part, **_whole(name, about, int(numbers[start]))}, kept
+                yield (images[start:stop], part, whole), kept
 
 
 def _batch_size(name: str, reader: Any, max_bytes: int) -> int:
@@ -464,7 +473,8 @@ def _decoded_files(
     max_pixels: int,
     max_bytes: int,
 ) -> tuple[Array, list[bytes]]:
-    colour = any("channels" in entry["whole"] for entry in about["recordings"])
+    names = {name for entry in about["recordings"] for name in entry["whole"]}
+    colour = "channels" in {FORMER.get(name, name) for name in names}
     whole = [file for file in files if file is not None]
     if len(whole) < len(files):
         raise TouchesError(

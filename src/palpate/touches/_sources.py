@@ -8,7 +8,7 @@ reach them by the same path or address.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from functools import partial
 from os import PathLike
@@ -119,8 +119,8 @@ def read_parquet(
     ImportError
         pyarrow or fsspec is missing; the message names the extra.
     """
-    for arrays, files in parquet_parts(path, max_bytes, max_pixels):
-        yield Touches(**arrays)._with_files(files)
+    for parts, files in parquet_parts(path, max_bytes, max_pixels):
+        yield Touches._parted(*parts)._with_files(files)
 
 
 class _Blocks(NamedTuple):
@@ -152,6 +152,8 @@ class ParquetTouches(Labelled):
         Columns of short values that all files have, one row per touch.
     whole : dict of ndarray
         What describes all of the touches alike.
+    no_contact : ndarray or None
+        The frame of no contact, of several that of the last touches.
 
     Raises
     ------
@@ -193,6 +195,10 @@ class ParquetTouches(Labelled):
         self._columns = {n: checked_column(n, c, n_touches) for n, c in joined.items()}
         self._rows = np.arange(n_touches)
         self._whole = [whole for index in indices for whole in index.whole]
+        firsts = np.cumsum([0, *(len(index.whole) for index in indices)])
+        numbers = zip(firsts, indices, strict=False)
+        self._recordings = np.concatenate([n + i.numbers for n, i in numbers])
+        self._rest: Array | None = None
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -200,13 +206,37 @@ class ParquetTouches(Labelled):
     @property
     def whole(self) -> Arrays:
         """What describes all of the touches alike, by name; see `Touches`."""
-        return common_whole(self._whole or [{}])
+        whole = common_whole([self._whole[key] for key in np.unique(self._recordings)])
+        return whole if self._rest is None else {**whole, "no_contact": self._rest}
+
+    @property
+    def no_contact(self) -> Array | None:
+        """The frame of no contact, of several that of the last touches, or None."""
+        if self._rest is not None:
+            return self._rest
+        last_first = dict.fromkeys(self._recordings[::-1].tolist())
+        frames = (self._whole[key].get("no_contact") for key in last_first)
+        return next((frame for frame in frames if frame is not None), None)
+
+    def resting_at(self, frame: Array) -> ParquetTouches:
+        """Return these touches as if the sensor had rested at a frame in all of them.
+
+        Images are floats: each less the no-contact image of its recording, where that
+        has one of this size, and more the `frame`. Where all rest there it is `self`.
+        """
+        moves = (_move(self._whole[k], frame) for k in np.unique(self._recordings))
+        if not any(move.any() for move in moves):
+            return self
+        other = copy(self)
+        other._rest = frame
+        return other
 
     def __getitem__(self, rows: ArrayLike) -> ParquetTouches:
         """Pick touches by their rows, which must rise; no image is read."""
         places = self._rising(rows, len(self))
         other = copy(self)
         other._rows = self._rows[places]
+        other._recordings = self._recordings[places]
         other._columns = {name: c[places] for name, c in self._columns.items()}
         return other
 
@@ -232,7 +262,7 @@ class ParquetTouches(Labelled):
             rows = self._rows[start:stop] - blocks.first
             if len(rows):
                 tasks.append((blocks, None if len(rows) == blocks.n_rows else rows))
-        reading = partial(_read, encode, self._limits)
+        reading = partial(_read, encode, self._limits, self._rest)
         batches = results_of(reading, len(tasks), tasks.__getitem__)
         return (part for batch in batches for part in batch)
 
@@ -257,16 +287,37 @@ def _in_blocks(
 def _read(
     encode: Callable[[Touches], Floats] | None,
     limits: tuple[int, int],
+    rest: Array | None,
     blocks: _Blocks,
     rows: Array | None,
 ) -> list[Any]:
     """Encode touches of some blocks, or read them, wherever this runs."""
     _refuse_changed(blocks)
     read = parquet_rows(blocks.name, *limits, blocks.groups, rows)
-    touches = (Touches(**arrays) for arrays, _ in read)
+    touches = (_at_rest(Touches._parted(*parts), rest) for parts, _ in read)
     parts = [part if encode is None else encode(part) for part in touches]
     _refuse_changed(blocks)
     return parts
+
+
+def _at_rest(touches: Touches, rest: Array | None) -> Touches:
+    """Return touches as if the sensor had rested at a frame, if there is one."""
+    if rest is None:
+        return touches
+    images = touches.images.astype(np.result_type(touches.images.dtype, np.float32))
+    images += _move(touches.whole, rest).astype(images.dtype)
+    whole = {**touches.whole, "no_contact": rest}
+    return Touches._parted(images, dict(touches.columns), whole)
+
+
+def _move(whole: Mapping[str, Array], rest: Array) -> Floats:
+    """Return what brings images of a recording to the frame they are to rest at."""
+    frame = whole.get("no_contact")
+    if frame is None or frame.shape != rest.shape:
+        return np.zeros(rest.shape)
+    # A taxel that was dead at rest stays as it is.
+    move: Floats = np.nan_to_num(rest.astype(float) - frame)
+    return move
 
 
 def _refuse_changed(blocks: _Blocks) -> None:

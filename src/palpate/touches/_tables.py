@@ -24,7 +24,7 @@ import numpy as np
 from .._checks import listed
 from .._types import Array
 from ._columns import COLUMNS, LABELS, Arrays, TouchesError, checked_shape
-from ._containers import CONTAINERS, container_arrays
+from ._containers import CONTAINERS, container_arrays, whole_labels
 
 TABLES = (".csv", ".npy")
 TEXT_ENDINGS = (".txt", ".tsv")  # by themselves; in folders they are notes
@@ -156,13 +156,13 @@ def _spelt(names: Sequence[str], targets: Sequence[str] = _SPELT) -> list[str]:
 
 def _renamed(spelt: str, name: str, column: Array) -> tuple[str, Array]:
     """Return a column by the name that `Touches` knows, where it suits its values."""
+    if spelt in LABELS:
+        column = whole_labels(column)
     if spelt == name:
         return name, column
     kind = column.dtype.kind
     if name.strip().lower() in _LABELS and kind == "U" and (column == "").any():
         return name, column  # it may be about something else
-    if spelt in LABELS and kind == "f" and (column == np.rint(column)).all():
-        return spelt, column.astype(np.int64)
     kinds = (
         "Uiu" if spelt in LABELS else "iuf" if spelt not in _TEXT_COLUMNS else "Uiuf"
     )
@@ -227,6 +227,9 @@ def taxel_names(path: Path, columns: Collection[str]) -> list[str]:
         return []
     with path.open(newline="", encoding="utf-8-sig") as file:
         first, comma = _first_line(file)
+        if comma in first.strip():  # numpy writes names behind "# "
+            file.seek(0)
+            first = next(filter(str.strip, file)).removeprefix("# ")
     split = first.split(comma) if comma in first.strip() else first.split()
     names = _spelt([name.strip().strip('"') for name in split])
     kept = {*columns, *_PLACES}

@@ -6,6 +6,7 @@ the no-contact image are kept as the sensor gave them; differences are derived.
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
@@ -214,6 +215,14 @@ class Touches(Labelled):
         self._files = None
 
     @classmethod
+    def _parted(cls, images: Array, columns: Arrays, whole: Arrays) -> Self:
+        """Return touches of columns and of what describes them all, told apart."""
+        checked = _columns.checked_images(images)
+        parts = _columns.sorted_out({**columns, **whole}, checked, [*whole])
+        check_layout(checked, *parts)
+        return cls._of(checked, *parts)
+
+    @classmethod
     def load(
         cls,
         path: str | PathLike[str],
@@ -317,8 +326,8 @@ class Touches(Labelled):
             return cls(**arrays)._with_files(files)
         if kind == _PARQUET:
             parts = parquet_parts(path, max_bytes, max_pixels)
-            held = (cls(**arrays)._with_files(files) for arrays, files in parts)
-            touches = cls._joined(held, max_bytes)
+            held = (cls._parted(*part)._with_files(files) for part, files in parts)
+            touches = cls._joined(held, max_bytes, warns=no_contact is None)
         elif kind == _ARCHIVE:
             touches = cls._of(*read_archive(place, max_bytes))
         elif kind == _BARE:
@@ -335,8 +344,13 @@ class Touches(Labelled):
         return touches.with_no_contact(no_contact, max_pixels)
 
     @classmethod
-    def _joined(cls, parts: Iterable[Touches], max_bytes: int) -> Self:
-        """Put parts of one set together, with what describes all of them alike."""
+    def _joined(
+        cls, parts: Iterable[Touches], max_bytes: int, *, warns: bool = False
+    ) -> Self:
+        """Put parts of one set together, with what describes all of them alike.
+
+        It can warn where they have frames of no contact that differ.
+        """
         held: list[Touches] = []
         n_bytes = 0
         for part in parts:
@@ -345,6 +359,14 @@ class Touches(Labelled):
             _columns.refuse_large("Touches held at once", n_bytes, max_bytes)
         same = _columns.common_whole([part._whole for part in held])
         plain = [part.without(*(part._whole.keys() - same.keys())) for part in held]
+        differ = "no_contact" not in same
+        if warns and differ and any("no_contact" in part._whole for part in held):
+            warnings.warn(
+                "Touches have one frame of no contact, got several in Parquet, which "
+                "are left out. Read one recording at a time by read_parquet, or learn "
+                "from ParquetTouches, which know all of them.",
+                stacklevel=3,
+            )
         joined = Touches.concatenate(plain)
         return cls._of(joined._images, joined._columns, joined._whole, joined._files)
 
