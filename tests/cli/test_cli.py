@@ -17,7 +17,6 @@ import typer
 import palpate as package
 from palpate import Touches
 from palpate.cli import app
-from palpate.cli._output import table
 from palpate.cli.recognise import outcome_lines, print_episode
 from palpate.library import TouchLibrary
 from palpate.recognition import Belief, ObjectRecogniser
@@ -344,10 +343,14 @@ def test_doctor_keeps_names_whole_in_a_narrow_terminal(palpate, monkeypatch, wid
     assert lines[-1] == "Try it: palpate demo"
 
 
-def test_figures_in_a_pipe_are_not_broken(capsys, monkeypatch):
+def test_figures_in_a_pipe_are_not_broken(palpate, tmp_path, monkeypatch):
+    """Each line of a table is as long as it is, however wide its values are."""
     monkeypatch.delenv("COLUMNS", raising=False)
-    table("", ["touches", *map(str, range(30))], [["right", *["100.0"] * 30]])
-    assert capsys.readouterr().out.count(" 100.0 ") == 30
+    names = [f"{letter * 60} {number}" for number, letter in enumerate("abc")]
+    with TouchLibrary.open(tmp_path / "lab", create=True) as library:
+        library.add(Touches(np.ones((3, 2, 2)), object=names, category=names))
+    listed = palpate.printed("library", "list", tmp_path / "lab", "--objects")
+    assert all(name in listed for name in names)
 
 
 @pytest.mark.parametrize("width", [60, 80])

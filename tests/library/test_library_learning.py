@@ -9,7 +9,6 @@ from joblib import parallel_config
 from numpy.testing import assert_allclose, assert_array_equal
 
 from palpate import ObjectRecogniser, Touches
-from palpate.cli._options import Reading
 from palpate.library import TouchLibrary
 from palpate.simulation import simulate_presses
 from palpate.touches import ParquetTouches, TouchesError
@@ -108,7 +107,6 @@ def test_parquet_knows_the_rest_of_each_recording(library, tmp_path):
     rows, moved = [0, 9, 40], chosen.resting_at(rest).touches()
     rested = source.resting_at(rest)
     assert_array_equal(rested.touches(rows).images, moved.images[rows])
-    assert_array_equal(Reading().touches(path).images, moved.images)
     last = source[32:]
     assert last.resting_at(rest) is last
     models = [ObjectRecogniser().fit(taught) for taught in (chosen, source)]
