@@ -29,6 +29,7 @@ from ._comparisons import (
 from ._episodes import Episodes, run_episodes
 from ._report import Figures
 from ._splits import (
+    IN_ORDER,
     SPLITS,
     VISITS,
     Fold,
@@ -151,7 +152,7 @@ def evaluate(
         tasks = [(fold, unknown, plan, silent) for fold in folds]
         trials = in_parallel(_run, tasks, "Folds", show=False)
     figures = Figures(figures_of(trials, plan, split))
-    if split in ("between", "last") and recorded_order(train) is None:
+    if split in IN_ORDER and recorded_order(train) is None:
         figures["notes"].append(_UNORDERED)
     figures["verdict"] = verdict(figures)
     figures["recommendations"] = recommendations(figures, trials)

@@ -19,6 +19,11 @@ from ..touches import Touches
 
 VISITS = ("session", "subject")
 SPLITS = get_args(Split)
+# Splits by the order of an object's touches: which of so many are asked.
+IN_ORDER: dict[str, Callable[[int], slice]] = {
+    "between": lambda n_touches: slice(3, None, 4),
+    "last": lambda n_touches: slice(n_touches - n_touches // 4, None),
+}
 N_RUNS = 5
 # More people or sessions than this are asked several at a time.
 MOST_FOLDS = 20
@@ -125,7 +130,7 @@ def split_touches(touches: Touches, split: str, label: str = "object") -> list[F
             )
         if order is not None:
             rows = rows[np.argsort(order[rows], kind="stable")]
-        test[rows[3::4] if split == "between" else rows[-(len(rows) // 4) :]] = True
+        test[rows[IN_ORDER[split](len(rows))]] = True
     return [Fold(split, touches[~test], touches[test])]
 
 
