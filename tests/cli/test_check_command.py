@@ -549,6 +549,15 @@ def test_an_object_of_which_nothing_is_left_is_refused_by_name(
     assert "No picture of pen can be used: pen_0.png is" in refused
 
 
+def test_touches_in_files_beside_a_preview_are_told(palpate, tmp_path):
+    for n in range(3):
+        np.savetxt(tmp_path / f"{n}.csv", np.eye(4), delimiter=",")
+    Image.fromarray(np.eye(4, dtype=np.uint8)).save(tmp_path / "preview.png")
+    lines = palpate.printed("check", tmp_path).splitlines()
+    fix = "if these are the touches, take the pictures out"
+    assert f"Note: 3 files of .csv left alone (0.csv, 1.csv, 2.csv): {fix}." in lines
+
+
 def test_notes_name_the_few_in_colour_and_what_is_flat_empty_or_no_png(
     palpate, tmp_path, rng
 ):

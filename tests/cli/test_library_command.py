@@ -26,11 +26,13 @@ def folder(tmp_path, archive, palpate):
 def test_a_touch_is_shown_with_its_own_columns(palpate, tmp_path, rng):
     images, frames = rng.random((2, 4, 4)), np.zeros((2, 5, 4, 4))
     columns = {"position_mm": [[1, 2, 3], [4, 5, 6]], "wear": [7, 8]}
+    columns["day"] = np.array(["2026-01-01", "2026-01-02"], "M8[D]")
     with TouchLibrary.open(tmp_path / "lab", create=True) as library:
         ids = library.add(Touches(images, press_frames=frames, **columns))
         added_s = library.list()[1].added_s
     shown = palpate.answer("library", "show", tmp_path / "lab", ids[1])
     assert (shown["wear"], shown["position_mm"]) == (8, [4, 5, 6])
+    assert shown["day"] == "2026-01-02"
     assert "press_frames" not in shown
     lines = palpate.printed("library", "show", tmp_path / "lab", ids[1])
     assert float(lines.split("added_s")[1].split()[0]) == pytest.approx(added_s, abs=1)

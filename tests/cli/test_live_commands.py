@@ -25,7 +25,6 @@ from palpate.recognition import Episode, ObjectRecogniser
 from palpate.sensors import ReplaySensor, SensorError, SensorMemory, TouchDetector
 from palpate.simulation import PressureArray, simulate_presses
 from palpate.web import LiveSession, PageServer, create_app
-from palpate.web._session import LONGEST_EPISODE
 
 from .conftest import put
 
@@ -206,7 +205,7 @@ def test_the_touches_of_an_episode_that_ends_early_are_answered(
 def test_an_episode_is_of_at_most_a_thousand_touches(palpate, replay, model):
     refused = palpate.refusal("live", model, *replay, "-n", "1001")
     assert "touches must be at most 1000, got 1001" in refused
-    assert live._LONGEST == LONGEST_EPISODE
+    assert LiveSession.longest_episode == 1000
 
 
 def test_record_names_no_archive_that_it_did_not_write(palpate, replay, tmp_path):

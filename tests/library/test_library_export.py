@@ -406,15 +406,20 @@ def test_metadata_as_deep_as_can_be_are_refused(tmp_path):
         Touches.load(tmp_path / "t.parquet")
 
 
+def _in_folders(path, table, column, *names):
+    """Write a table once for each name, in folders as other programs make them."""
+    for name in names:
+        place = path / "set.parquet" / f"{column}={name}"
+        place.mkdir(parents=True)
+        pq.write_table(table, place / "0.parquet")
+    return path / "set.parquet"
+
+
 def test_what_another_program_wrote_is_read(tmp_path):
     """The files hold nested lists in folders by object, and no metadata of palpate."""
     images = np.arange(24.0).reshape(2, 3, 4)
     table = pa.table({"image": images.tolist(), "force_n": [0.5, None]})
-    for name in ("mug", "pen"):
-        place = tmp_path / "set.parquet" / f"object={name}"
-        place.mkdir(parents=True)
-        pq.write_table(table, place / "0.parquet")
-    touches = Touches.load(tmp_path / "set.parquet")
+    touches = Touches.load(_in_folders(tmp_path, table, "object", "mug", "pen"))
     assert touches.object.tolist() == ["mug", "mug", "pen", "pen"]
     assert_array_equal(touches.images, np.concatenate([images, images]))
     assert_array_equal(touches.columns["force_n"], [0.5, np.nan, 0.5, np.nan])
@@ -422,11 +427,8 @@ def test_what_another_program_wrote_is_read(tmp_path):
 
 def test_folders_of_what_lacks_have_no_session(tmp_path):
     table = pa.table({"image": np.ones((2, 3, 4)).tolist()})
-    for name in ("monday", "__HIVE_DEFAULT_PARTITION__"):
-        place = tmp_path / "set.parquet" / f"session={name}"
-        place.mkdir(parents=True)
-        pq.write_table(table, place / "0.parquet")
-    touches = Touches.load(tmp_path / "set.parquet")
+    names = "monday", "__HIVE_DEFAULT_PARTITION__"
+    touches = Touches.load(_in_folders(tmp_path, table, "session", *names))
     assert touches.session.tolist() == ["", "", "monday", "monday"]
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 SHEET_OBJECTS, SHEET_TOUCHES, SHEET_SIDE = 60, 8, 96
 _ROWS_SHOWN, _NAMED, _ALIKE = 40, 3, 5
+_TOUCH_FILES = (".csv", ".npy")  # of folders without pictures, one touch each
 # A step from touch to touch is small below this share of what touches of one object
 # differ by; of recorded touches 8 % are at most, of frames of one grasp 74 %.
 _SMALL_STEP, _LOOKED_AT, _SIDE = 0.2, 200, 48
@@ -69,7 +70,7 @@ def check(
         stage("what is no touch")
         alone = {} if read is None or read.object is None else named_alone(read)
     odd = _odd(pictures)
-    notes = _notes(pictures, odd)
+    notes = _notes(pictures, odd, 0 if read is None else len(read))
     if read and pictures.is_of_pictures:
         notes.append(named_in_ways(reading, touches, read))
     elif read:
@@ -123,7 +124,9 @@ def _odd(pictures: "PictureCheck") -> dict[str, list[Any]]:
     return {kind: names for kind, names in odd.items() if names}
 
 
-def _notes(pictures: "PictureCheck", odd: dict[str, list[Any]]) -> list[str]:
+def _notes(
+    pictures: "PictureCheck", odd: dict[str, list[Any]], n_read: int
+) -> list[str]:
     if not pictures.is_of_pictures:
         return [
             f"{counted(len(names), 'file')} of {ending} read in grey, none looked at: "
@@ -142,6 +145,8 @@ def _notes(pictures: "PictureCheck", odd: dict[str, list[Any]]) -> list[str]:
         )
     for ending, names in pictures.others.items():
         mend = ": save as PNG" * (ending in STILLS)
+        if ending in _TOUCH_FILES and len(names) > n_read:
+            mend = ": if these are the touches, take the pictures out"
         many = counted(len(names), "file")
         notes.append(f"{many} of {ending} left alone ({_first(names)}){mend}")
     if empty := pictures.empty:
@@ -189,31 +194,62 @@ def _advice(
     """Return what to do before learning, the most harmful first."""
     if touches is None:
         return []
-    from .._types import PICTURES
     from ..evaluation import few_touches
 
-    objects, advice = checked["objects"], []
+    objects, path = checked["objects"], Path(checked["touches"])
     if not objects:
-        fix = "put the pictures of each object into a folder of its name"
-        path = Path(checked["touches"])
-        kind = kind_of(path)
-        if kind == "film":
-            film = f"`palpate library add LIBRARY {path} --object NAME`"
-            return [f"nothing is labelled: {film}, film by film, and learn LIBRARY"]
-        if kind != "folder":
-            has = ", ".join([*touches.columns][:_NAMED])
-            has = f" (it has {has})" if has else ""
-            fix = f"call the column of names object{has}, or, in Python, save "
-            fix += "Touches(images, object=names); put a single picture into a folder"
-        if kind == "folder" or path.suffix.lower() in PICTURES:
-            fix += ", or see --name-pattern"
-        return [f"nothing is labelled: {fix}"]
+        return [_label_advice(path, touches)]
+    advice = []
     if checked["bad"]:
         advice.append(
             "mend the pictures that cannot be used, or learn without them: --skip-bad"
         )
-    if folders := _sets_of_same_names(touches):
-        advice.append(folders)
+    advice += [_sets_of_same_names(touches), *_name_advice(objects)]
+    if len(objects) == 1:
+        advice.append("there is one object: add others, or nothing can be told apart")
+    advice.append(few_touches({row["object"]: row["touches"] for row in objects}))
+    advice.append(_frames_of_touches(touches))
+    most_sessions = max(row["sessions"] or 1 for row in objects)
+    if most_sessions < 2:
+        advice.append(
+            "all is of one session, as far as is written: mount the sensor anew for "
+            "half of the touches, in folders such as mug/day1 and mug/day2, or a "
+            "column session; else expect less on another day"
+        )
+    if touches.geometry != "none" and not _knows_rest(path, touches, reading):
+        how = "--no-contact FILE"
+        takes = kind_of(path) in ("film", "file") or touches.files is not None
+        if touches.images.dtype.kind != "u" or not takes:  # no picture has the unit
+            how = "in Python, touches.with_columns(no_contact=frame).save(FILE)"
+        advice.append(
+            f"a picture of touching nothing helps, and a replay needs one: {how}"
+        )
+    advice.append(_alone_advice(checked["alone"], most_sessions))
+    return [*filter(None, advice)]
+
+
+def _label_advice(path: Path, touches: "Touches") -> str:
+    """Return how touches without objects are labelled."""
+    from .._types import PICTURES
+
+    kind = kind_of(path)
+    if kind == "film":
+        film = f"`palpate library add LIBRARY {path} --object NAME`"
+        return f"nothing is labelled: {film}, film by film, and learn LIBRARY"
+    fix = "put the pictures of each object into a folder of its name"
+    if kind != "folder":
+        has = ", ".join([*touches.columns][:_NAMED])
+        has = f" (it has {has})" if has else ""
+        fix = f"call the column of names object{has}, or, in Python, save "
+        fix += "Touches(images, object=names); put a single picture into a folder"
+    if kind == "folder" or path.suffix.lower() in PICTURES:
+        fix += ", or see --name-pattern"
+    return f"nothing is labelled: {fix}"
+
+
+def _name_advice(objects: list[dict[str, Any]]) -> list[str]:
+    """Return which names are alike, or must not be given."""
+    advice = []
     spelt: dict[str, list[str]] = {}
     for row in objects:
         name = " ".join(row["object"].casefold().split())
@@ -232,44 +268,25 @@ def _advice(
             "no object can be called unknown, which is said of things never learnt: "
             "name it otherwise, or give it by itself to `palpate evaluate --unknown`"
         )
-    if len(objects) == 1:
-        advice.append("there is one object: add others, or nothing can be told apart")
-    few = few_touches({row["object"]: row["touches"] for row in objects})
-    advice += [few] if few else []
-    if frames := _frames_of_touches(touches):
-        advice.append(frames)
-    most_sessions = max(row["sessions"] or 1 for row in objects)
-    if most_sessions < 2:
-        advice.append(
-            "all is of one session, as far as is written: mount the sensor anew for "
-            "half of the touches, in folders such as mug/day1 and mug/day2, or a "
-            "column session; else expect less on another day"
-        )
-    if touches.geometry != "none" and not _knows_rest(checked, touches, reading):
-        how = "--no-contact FILE"
-        kind = kind_of(Path(checked["touches"]))
-        takes = kind in ("film", "file") or touches.files is not None
-        if touches.images.dtype.kind != "u" or not takes:  # no picture has the unit
-            how = "in Python, touches.with_columns(no_contact=frame).save(FILE)"
-        advice.append(
-            f"a picture of touching nothing helps, and a replay needs one: {how}"
-        )
-    for name, control in checked["alone"].items():
+    return advice
+
+
+def _alone_advice(alone: dict[str, Any], n_sessions: int) -> str:
+    """Return that something which is no touch names objects, "" where nothing does."""
+    for name, control in alone.items():
         if control["right"] > control["chance"] + (1 - control["chance"]) / 3:
-            split = "session" if most_sessions > 1 else "last"
+            split = "session" if n_sessions > 1 else "last"
             right = f"{100 * control['right']:.1f} %"
-            advice.append(
+            return (
                 f"{name} alone, which is no touch, names {right} "
                 "right: record objects in turns, not one after the other, and look at "
                 f"the controls of `palpate evaluate --split {split}`"
             )
-            break
-    return advice
+    return ""
 
 
-def _knows_rest(checked: dict[str, Any], touches: "Touches", reading: Reading) -> bool:
+def _knows_rest(path: Path, touches: "Touches", reading: Reading) -> bool:
     """Tell whether there is a frame of no contact; recordings may have several."""
-    path = Path(checked["touches"])
     several = kind_of(path) in ("library", "Parquet file") and not reading.no_contact
     if touches.no_contact is not None or not several:
         return touches.no_contact is not None

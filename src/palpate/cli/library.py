@@ -217,8 +217,10 @@ def show(
         if not rows[0].retracted:
             part = opened.touches(f"id = '{rows[0].id}'")
             more = {n: c[0] for n, c in part.columns.items() if n not in values}
-            few = {n: c.tolist() for n, c in more.items() if c.size <= _CELLS_SHOWN}
-            values |= few
+            few = {n: c for n, c in more.items() if c.size <= _CELLS_SHOWN}
+            # What JSON cannot hold, such as dates, as it is written.
+            plain = {n: c.dtype.kind in "biufU" for n, c in few.items()}
+            values |= {n: c.tolist() if plain[n] else str(c) for n, c in few.items()}
     values |= {"least": image.min().item(), "largest": image.max().item()}
     if output is not None:
         with replacing(output) as file:

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from ..web import LiveSession
 
 Episode = dict[str, Any]
-_LONGEST = 1000  # touches, after which a session begins the next episode
 
 
 @grouped
@@ -65,7 +64,7 @@ def live(
     from .._checks import check_count
     from ..web import LiveSession
 
-    check_count("touches", touches, at_most=_LONGEST)
+    check_count("touches", touches, at_most=LiveSession.longest_episode)
     check_count("episodes", episodes, at_least=0)
     done: list[Episode] = []  # filled for --json alone: without an end it would grow
     n_done = ended = 0

@@ -174,10 +174,7 @@ class Selection(Labelled):
             digest = _entries(self.tables.recording(key).whole).get("no_contact")
             if digest not in by_digest:
                 own_rest = newest_no_contact(self.tables, [key])
-                suits = own_rest is not None and own_rest.shape == rest.shape
-                # A taxel that was dead at rest stays as it is.
-                move = np.nan_to_num(rest.astype(float) - own_rest) if suits else None
-                by_digest[digest] = move
+                by_digest[digest] = self._move(rest, own_rest)
             if (move := by_digest[digest]) is not None:
                 moves[key] = move
         return moves

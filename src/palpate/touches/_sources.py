@@ -8,7 +8,7 @@ reach them by the same path or address.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from copy import copy
 from functools import partial
 from os import PathLike
@@ -224,8 +224,9 @@ class ParquetTouches(Labelled):
         Images are floats: each less the no-contact image of its recording, where that
         has one of this size, and more the `frame`. Where all rest there it is `self`.
         """
-        moves = (_move(self._whole[k], frame) for k in np.unique(self._recordings))
-        if not any(move.any() for move in moves):
+        frames = (self._whole[k].get("no_contact") for k in np.unique(self._recordings))
+        moves = (self._move(frame, own_frame) for own_frame in frames)
+        if not any(move is not None and move.any() for move in moves):
             return self
         other = copy(self)
         other._rest = frame
@@ -305,19 +306,10 @@ def _at_rest(touches: Touches, rest: Array | None) -> Touches:
     if rest is None:
         return touches
     images = touches.images.astype(np.result_type(touches.images.dtype, np.float32))
-    images += _move(touches.whole, rest).astype(images.dtype)
+    if (move := touches._move(rest, touches.no_contact)) is not None:
+        images += move.astype(images.dtype)
     whole = {**touches.whole, "no_contact": rest}
     return Touches._parted(images, dict(touches.columns), whole)
-
-
-def _move(whole: Mapping[str, Array], rest: Array) -> Floats:
-    """Return what brings images of a recording to the frame they are to rest at."""
-    frame = whole.get("no_contact")
-    if frame is None or frame.shape != rest.shape:
-        return np.zeros(rest.shape)
-    # A taxel that was dead at rest stays as it is.
-    move: Floats = np.nan_to_num(rest.astype(float) - frame)
-    return move
 
 
 def _refuse_changed(blocks: _Blocks) -> None:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import listed, nearest_path
 from .._extras import needed
-from .._types import FILMS, PICTURES, Array
+from .._types import FILMS, PICTURES, Array, Floats
 from . import _columns
 from ._archive import read_archive, write_archive
 from ._columns import (
@@ -97,6 +97,17 @@ class Labelled:
                 "Sort them and drop those that come twice."
             )
         return places
+
+    @staticmethod
+    def _move(rest: Array, own_rest: Array | None) -> Floats | None:
+        """Return what brings images that rest at `own_rest` to rest at another frame.
+
+        None where they have no such frame of that size.
+        """
+        if own_rest is None or own_rest.shape != rest.shape:
+            return None
+        # A taxel that was dead at rest stays as it is.
+        return np.asarray(np.nan_to_num(rest.astype(float) - own_rest))
 
     @property
     def columns(self) -> Mapping[str, Array]:

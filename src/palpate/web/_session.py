@@ -39,7 +39,6 @@ from ._teaching import MOST_PER_LESSON, Teacher, teachable_name
 if TYPE_CHECKING:
     from ._ros import RosPublisher
 
-LONGEST_EPISODE = 1000
 ONE_SESSION = (
     "All was taught in one session. For another day: lift the sensor, place it again, "
     "let the light settle, take the baseline, and teach ten more touches of each."
@@ -85,6 +84,8 @@ class LiveSession:
         The `trouble` of a touch that was under way when another one was asked for.
     most_per_lesson : int
         Touches that a lesson may want at most.
+    longest_episode : int
+        Touches after which the next one begins another episode.
 
     Raises
     ------
@@ -97,6 +98,7 @@ class LiveSession:
     """
 
     most_per_lesson: ClassVar[int] = MOST_PER_LESSON
+    longest_episode: ClassVar[int] = 1000
     began_before: ClassVar[str] = (
         "That touch began before, perhaps on another thing: it does not count, touch "
         "again."
@@ -735,7 +737,8 @@ class LiveSession:
         if self.watch is not None and self.watch.misfit:
             raise ValueError(self.watch.misfit)
         with self._lock:
-            if not self.episode.open or len(self.episode.touches) >= LONGEST_EPISODE:
+            n_touches = len(self.episode.touches)
+            if not self.episode.open or n_touches >= self.longest_episode:
                 self._new_episode()
             self._use_places(columns)
             touch = self.episode.add(image, channels, columns, self._rest)
